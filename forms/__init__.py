@@ -1,0 +1,1 @@
+"""Weak forms in UFL, written once and knowing nothing of grains."""

@@ -1,0 +1,1 @@
+"""Meshes of the specimens, knowing nothing of physics."""
