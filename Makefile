@@ -5,10 +5,11 @@ PYTHON := .venv/bin/python
 # Quadrature points run on numba's threads; BLAS and MUMPS threads beside them only get in the way.
 export OMP_NUM_THREADS := 1
 # mpirun refuses root unless told so (containers, CI), would pin all threads of a rank to one core,
-# and tries the network although all ranks are on this machine.
+# and tries the network although all ranks are on this machine. (PRTE: the name since Open MPI 5.)
 export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_hwloc_base_binding_policy := none
+export PRTE_MCA_hwloc_default_binding_policy := none
 export OMPI_MCA_btl := ^tcp
 
 .PHONY: help setup biaxial test lint format figures clean
