@@ -1,0 +1,1 @@
+"""Macro scale: it talks to a :class:`femxdem_fenicsx.law.Law` and never sees a grain."""

@@ -1,0 +1,77 @@
+"""Finite elements of the displacement, each with its quadrature points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import ufl
+
+from . import _dolfinx
+
+
+@dataclass(frozen=True)
+class Element:
+    """A displacement element and the quadrature rule of the law's points.
+
+    Attributes:
+        name: Q4, Q8, Q9 or T6.
+        cell: "quadrilateral" or "triangle".
+        degree: degree of the displacement, and of the mesh's geometry that moves with it.
+        quadrature_degree: degree that Basix' default scheme integrates exactly.
+        points_per_cell: number of quadrature points.
+    """
+
+    name: str
+    cell: str
+    degree: int
+    quadrature_degree: int
+    points_per_cell: int
+
+    def space(self, mesh):
+        """Space of displacements (m) on a mesh made for this element."""
+        gdim = mesh.geometry.dim
+        if self.name == "Q8":
+            return _dolfinx.functionspace(mesh, _dolfinx.serendipity_element((gdim,)))
+        lagrange = _dolfinx.lagrange_element(self.cell, self.degree, (gdim,))
+        return _dolfinx.functionspace(mesh, lagrange)
+
+    def dx(self, mesh) -> ufl.Measure:
+        """Volume measure on this element's quadrature points."""
+        rule = {"quadrature_degree": self.quadrature_degree, "quadrature_scheme": "default"}
+        return ufl.Measure("dx", domain=mesh, metadata=rule)
+
+    def ds(self, mesh, sides=None) -> ufl.Measure:
+        """Boundary measure, exact for a follower pressure; `sides`: facet MeshTags."""
+        rule = {"quadrature_degree": 2 * self.degree}
+        return ufl.Measure("ds", domain=mesh, subdomain_data=sides, metadata=rule)
+
+
+# name -> points -> element; the first choice of points is the default
+ELEMENTS = {
+    "Q4": {"2x2": Element("Q4", "quadrilateral", 1, 2, 4)},
+    "Q8": {
+        "2x2": Element("Q8", "quadrilateral", 2, 2, 4),
+        "3x3": Element("Q8", "quadrilateral", 2, 4, 9),
+    },
+    "Q9": {"3x3": Element("Q9", "quadrilateral", 2, 4, 9)},
+    "T6": {"3": Element("T6", "triangle", 2, 2, 3)},
+}
+
+
+def element(name: str, points: str | None = None) -> Element:
+    """The element `name`, with `points` ("2x2", "3x3", "3") or its default quadrature.
+
+    Raises:
+        ValueError: unknown element, or points that this element cannot have. Q9 with 2x2 points
+            has hourglass modes: its stiffness is singular and the solver does not notice.
+    """
+    if name not in ELEMENTS:
+        raise ValueError(f"element {name!r} is unknown: choose one of {', '.join(ELEMENTS)}")
+    choices = ELEMENTS[name]
+    if points is None:
+        return next(iter(choices.values()))
+    if points not in choices:
+        known = " or ".join(choices)
+        reason = " (2x2 is singular: hourglass modes)" if (name, points) == ("Q9", "2x2") else ""
+        raise ValueError(f"element {name} cannot have {points} points{reason}: choose {known}")
+    return choices[points]

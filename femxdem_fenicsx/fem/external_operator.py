@@ -1,0 +1,102 @@
+"""Operands at quadrature points -> law -> quadrature-space functions."""
+
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import fem
+
+from ..law import InadmissibleDeformation, Law
+from . import _dolfinx
+from .collective import together
+from .quadrature_points import QuadraturePoints
+
+LARGEST_INCREMENT = 0.5
+
+
+class ExternalOperator:
+    """The stress as a function of u, computed by a law: evaluate it, then assemble.
+
+    Attributes:
+        law: what computes the stress.
+        points: its points.
+        stress: Cauchy stress, quadrature function (d, d), Pa.
+        tangent: C, quadrature function (d*d, d*d), Pa.
+        evaluations: how often the law was evaluated.
+
+    Args:
+        deformation_gradient: UFL expression (d, d) of the step's displacement.
+        law: a law with as many points as `points` has on this rank.
+        points: where to evaluate.
+
+    Raises:
+        ValueError: the law has another dimension or number of points.
+    """
+
+    def __init__(self, deformation_gradient, law: Law, points: QuadraturePoints):
+        self.law, self.points = law, points
+        mesh, element = points.mesh, points.element
+        d = mesh.geometry.dim
+        together(mesh.comm, self._check_law, d)
+        self._shape = (points.size, d, d)
+        self._F = fem.Expression(deformation_gradient, points.reference)
+        self.stress = self._function((d, d))
+        self.tangent = self._function((d * d, d * d))
+        self.stress.name, self.tangent.name = "stress", "tangent"
+        dofs = _dolfinx.dofmap(self.stress.function_space)
+        self._dofs = dofs[: len(points.cells)].ravel()
+        self.evaluations = 0
+
+    def _check_law(self, d: int) -> None:
+        if (self.law.dim, self.law.size) != (d, self.points.size):
+            raise ValueError(
+                f"the law has {self.law.size} points in {self.law.dim}D, the mesh has "
+                f"{self.points.size} in {d}D on this rank: make the law with points.size"
+            )
+
+    def _function(self, shape: tuple[int, int]) -> fem.Function:
+        element = self.points.element
+        quadrature = _dolfinx.quadrature_element(element.cell, element.quadrature_degree, shape)
+        return fem.Function(_dolfinx.functionspace(self.points.mesh, quadrature))
+
+    def evaluate(self) -> None:
+        """Bring `stress` up to date with u.
+
+        Raises:
+            InadmissibleDeformation: on all ranks, where F somewhere is not finite, turns a point
+                inside out or is further than 0.5 from I, or where the law says so.
+            Exception: what else the law raises, on all ranks.
+        """
+        comm = self.points.mesh.comm
+        F = self.points.evaluate(self._F, self._shape[1:])
+        stress = together(comm, self._evaluate, F)
+        self._set(self.stress, stress)
+
+    def _evaluate(self, F: np.ndarray) -> np.ndarray:
+        far = np.abs(F - np.eye(F.shape[1])).max(axis=(1, 2), initial=0.0)
+        # the negation catches NaN too
+        wrong = np.flatnonzero(~((far <= LARGEST_INCREMENT) & (np.linalg.det(F) > 0)))
+        if len(wrong):
+            raise InadmissibleDeformation(
+                f"deformation gradient {F[wrong[0]].tolist()} of one step at quadrature point "
+                f"{self.points.index[wrong[0]]}: the iterate went astray or the step is too large"
+            )
+        self.evaluations += 1
+        stress = np.asarray(self.law.evaluate(F))
+        if stress.shape != self._shape:
+            raise TypeError(f"the law returned stress {stress.shape} instead of {self._shape}")
+        return stress
+
+    def evaluate_tangent(self) -> None:
+        """Bring `tangent` up to date with the last trial of the law."""
+        self._set(self.tangent, together(self.points.mesh.comm, self.law.tangent))
+
+    def _set(self, function: fem.Function, values: np.ndarray) -> None:
+        """Values at owned points; the ghosts get those of their owners."""
+        function.x.array.reshape(-1, self._block(function))[self._dofs] = values.reshape(
+            self.points.size, -1
+        )
+        function.x.scatter_forward()
+
+    @staticmethod
+    def _block(function: fem.Function) -> int:
+        return function.function_space.dofmap.index_map_bs

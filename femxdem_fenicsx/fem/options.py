@@ -1,0 +1,62 @@
+"""PETSc options: the defaults of our solver, and those of the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from petsc4py import PETSc
+
+PREFIX = "femxdem_"
+
+DEFAULTS = {
+    "snes_type": "qn",
+    "snes_qn_type": "broyden",
+    "snes_qn_scale_type": "jacobian",
+    "snes_qn_restart_type": "none",
+    "snes_qn_m": 10,
+    "snes_linesearch_type": "basic",
+    "ksp_type": "preonly",
+    "pc_type": "lu",
+    "pc_factor_mat_solver_type": "mumps",
+}
+
+
+def petsc_options(arguments: Sequence[str]) -> None:
+    """Hand the arguments that argparse left over to PETSc.
+
+    Use it as ``arguments, rest = parser.parse_known_args(); petsc_options(rest)``. Options of the
+    nonlinear solver start with ``-femxdem_``: ``-femxdem_snes_monitor``.
+
+    Raises:
+        ValueError: an argument that can be no PETSc option, like a misspelt option of the script.
+    """
+    follows_option = False
+    for argument in arguments:
+        is_option = argument.startswith("-") and not _is_number(argument)
+        if argument.startswith("--") or not (is_option or follows_option):
+            raise ValueError(f"unknown argument {argument!r}: see --help")
+        follows_option = is_option
+    PETSc.Options().insertString(" ".join(arguments))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+@contextmanager
+def defaults(prefix: str) -> Iterator[None]:
+    """Our defaults in the options database, where the user has not set anything, for a while."""
+    options = PETSc.Options(prefix)
+    ours = {name: value for name, value in DEFAULTS.items() if not options.hasName(name)}
+    for name, value in ours.items():
+        options[name] = value
+    try:
+        yield
+    finally:
+        for name in ours:
+            options.delValue(name)

@@ -1,0 +1,311 @@
+"""Equilibrium of one load step, solved by PETSc SNES with our residual and Jacobian."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import dolfinx.fem.petsc
+import numpy as np
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from ..law import InadmissibleDeformation
+from . import _dolfinx
+from .collective import together
+from .external_operator import ExternalOperator
+from .mesh_motion import MeshMotion
+from .options import PREFIX, defaults
+
+REASONS = {
+    value: name
+    for name, value in vars(PETSc.SNES.ConvergedReason).items()
+    if isinstance(value, int) and not name.startswith("_")
+}
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """When a step is converged: each criterion that is given must hold.
+
+    Attributes:
+        force: FNORM/RNORM, the norm of the out-of-balance forces at the free dofs over that of
+            the reactions at the constrained ones (Argilaga §2 and footnote 7).
+        displacement: norm of the last correction over that of the step's displacement (Guo-Zhao
+            eq. 21, who take 1e-2).
+        max_iterations: give up after that many.
+
+    Raises:
+        ValueError: no criterion, or a limit that is not positive.
+    """
+
+    force: float | None = 1e-2
+    displacement: float | None = None
+    max_iterations: int = 20
+
+    def __post_init__(self):
+        limits = [limit for limit in (self.force, self.displacement) if limit is not None]
+        if not limits or not all(limit > 0 for limit in limits) or self.max_iterations < 1:
+            raise ValueError(
+                f"convergence by force {self.force}, displacement {self.displacement} in "
+                f"{self.max_iterations} iterations: give positive limits, one at least"
+            )
+
+    def holds(self, force: float, displacement: float) -> bool:
+        """Whether these two ratios satisfy all criteria."""
+        return (self.force is None or force <= self.force) and (
+            self.displacement is None or displacement <= self.displacement
+        )
+
+
+@dataclass(frozen=True)
+class Solution:
+    """How a solve ended.
+
+    Attributes:
+        converged: whether all criteria hold at u.
+        reason: PETSc's name for why it stopped, or the law's message.
+        iterations: of SNES.
+        evaluations: of the law, those for the first guess included.
+        residual: FNORM/RNORM at u.
+    """
+
+    converged: bool
+    reason: str
+    iterations: int
+    evaluations: int
+    residual: float
+
+
+@dataclass(frozen=True)
+class _Evaluated:
+    """An iterate (owned dofs), with its FNORM and RNORM."""
+
+    x: np.ndarray
+    out_of_balance: float
+    reactions: float
+
+    @property
+    def ratio(self) -> float:
+        if self.out_of_balance == 0.0:
+            return 0.0
+        return self.out_of_balance / self.reactions if self.reactions > 0 else np.inf
+
+
+class Problem:
+    """One load step after the other: `solve`, then `accept` or `reject`.
+
+    Attributes:
+        snes: PETSc's solver, options prefix `femxdem_`; its command line options win over our
+            defaults (see :mod:`femxdem_fenicsx.fem.options`).
+        u: displacement of the step, m, on the geometry at its start.
+        operator: the external operator in the forms.
+        motion: moves the mesh, and holds the total displacement.
+        convergence: the criteria.
+
+    Args:
+        u: displacement function.
+        residual: UFL form, internal minus external forces.
+        jacobian: UFL form, its derivative.
+        operator: the external operator whose stress and tangent are in the forms.
+        bcs: Dirichlet conditions on the displacement of the step. Change their values between
+            steps in place (through a Constant or a Function).
+        convergence: criteria.
+        prefix: of the PETSc options.
+    """
+
+    def __init__(
+        self,
+        u: fem.Function,
+        residual: ufl.Form,
+        jacobian: ufl.Form,
+        operator: ExternalOperator,
+        bcs: Sequence,
+        convergence: Convergence | None = None,
+        prefix: str = PREFIX,
+    ):
+        self.u, self.operator, self.bcs = u, operator, list(bcs)
+        self.convergence = convergence or Convergence()
+        element = operator.points.element
+        self.motion = MeshMotion(u, element.cell, element.degree)
+        self._comm = u.function_space.mesh.comm
+        self._residual, self._jacobian = fem.form(residual), fem.form(jacobian)
+        self._matrix = dolfinx.fem.petsc.create_matrix(self._jacobian)
+        self._forces = _dolfinx.create_vector(self._residual, u.function_space)
+        self._work = self._forces.duplicate()
+        self._x = self._matrix.createVecRight()
+        self._constrained, self._values = _dolfinx.prescribed(self._work, self.bcs)
+        self._now: _Evaluated | None = None
+        self._before: _Evaluated | None = None
+        self._best: _Evaluated | None = None
+        self._astray = ""
+        self._last_step: tuple[float, np.ndarray] | None = None
+        self._size = self._x.local_size
+        self.snes = self._create_snes(prefix)
+
+    def _create_snes(self, prefix: str) -> PETSc.SNES:
+        snes = PETSc.SNES().create(self._comm)
+        snes.setOptionsPrefix(prefix)
+        snes.setFunction(self._function, self._matrix.createVecLeft())
+        snes.setJacobian(self._assemble_jacobian, self._matrix)
+        snes.setConvergenceTest(self._test)
+        snes.setTolerances(atol=0.0, max_it=self.convergence.max_iterations)
+        with defaults(prefix):
+            snes.setFromOptions()
+        return snes
+
+    def solve(self, step: float = 1.0) -> Solution:
+        """Solve for u under the present values of the boundary conditions and loads.
+
+        The first guess is the last increment scaled by the ratio of the steps; without a last
+        increment, the linear response to the prescribed values.
+
+        Args:
+            step: size of this step on the load path; it scales the first guess, nothing else.
+
+        Returns:
+            How it ended. Not converged, u is the iterate with the smallest FNORM/RNORM.
+
+        Raises:
+            Exception: any error of the law but InadmissibleDeformation, on all ranks.
+        """
+        started = self.operator.evaluations
+        self._now = self._before = self._best = None
+        self._astray = ""
+        _, self._values = _dolfinx.prescribed(self._work, self.bcs)
+        self._x.array[:] = self._first_guess(step)
+        self.snes.solve(None, self._x)
+        converged = self.snes.getConvergedReason() > 0
+        if converged:
+            self._set_u(self._x.array_r)
+            self._evaluate_at_u()
+            residual = self._now.ratio
+        elif self._best is not None:
+            self._set_u(self._best.x)
+            residual = self._best.ratio
+        else:
+            residual = np.inf
+        return Solution(
+            converged,
+            self._astray or REASONS[self.snes.getConvergedReason()],
+            self.snes.getIterationNumber(),
+            self.operator.evaluations - started,
+            residual,
+        )
+
+    def accept(self, step: float = 1.0) -> None:
+        """Make u the end of the step: commit the law, move the mesh, start the next step at 0.
+
+        The law commits what it computed at this very u.
+        """
+        self._evaluate_at_u()
+        together(self._comm, self.operator.law.commit)
+        self.motion.move()
+        self._last_step = (step, self.u.x.array[: self._size].copy())
+        self.u.x.array[:] = 0.0
+        self._now = None
+
+    def reject(self) -> None:
+        """Forget the trial; u is zero again."""
+        together(self._comm, self.operator.law.discard)
+        self.u.x.array[:] = 0.0
+        self._now = None
+
+    def reaction(self, dofs: np.ndarray) -> float:
+        """Sum of the reactions (internal minus external nodal forces) at `dofs`, N per m.
+
+        At the last iterate of the last solve, also after `accept`. `dofs`: what
+        `locate_dofs_topological` finds in a component's space; those of other ranks are ignored.
+        """
+        owned = dofs[dofs < self._size]
+        return self._comm.allreduce(float(self._forces.array_r[owned].sum()))
+
+    # ---- first guess ----------------------------------------------------------------------------
+
+    def _first_guess(self, step: float) -> np.ndarray:
+        if self._last_step is None:
+            guess = self._linear_response()
+        else:
+            last, increment = self._last_step
+            guess = step / last * increment
+        guess[self._constrained] = self._values
+        return guess
+
+    def _linear_response(self) -> np.ndarray:
+        """One linear solve from u = 0, with the tangent there."""
+        self._set_u(np.zeros(self._size))
+        self._evaluate_at_u()
+        self._assemble_jacobian(self.snes, self._x, self._matrix, self._matrix)
+        right = self._work
+        self._forces.copy(right)
+        right.scale(-1.0)
+        _dolfinx.lift(right, self._jacobian, self.bcs)
+        right.array[self._constrained] = self._values
+        solution = self._x.duplicate()
+        ksp = self.snes.getKSP()
+        ksp.setOperators(self._matrix)
+        ksp.solve(right, solution)
+        return solution.array_r.copy()
+
+    # ---- what SNES calls ------------------------------------------------------------------------
+
+    def _function(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
+        self._set_u(x.array_r)
+        try:
+            self._evaluate_at_u()
+        except InadmissibleDeformation as error:
+            # petsc4py 3.18 cannot report a domain error: NaN stops every SNES type
+            self._astray = str(error)
+            f.set(np.nan)
+            return
+        f.array[:] = self._forces.array_r
+        f.array[self._constrained] = x.array_r[self._constrained] - self._values
+
+    def _assemble_jacobian(self, snes, x: PETSc.Vec, matrix: PETSc.Mat, preconditioner) -> None:
+        self.operator.evaluate_tangent()
+        _dolfinx.assemble_matrix(preconditioner, self._jacobian, self.bcs)
+
+    def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
+        reason = PETSc.SNES.ConvergedReason
+        if not np.isfinite(norms[2]) or self._now is None:
+            return reason.DIVERGED_FNORM_NAN
+        if self.convergence.holds(self._now.ratio, self._correction()):
+            return reason.CONVERGED_FNORM_RELATIVE
+        if norms[2] < snes.getTolerances()[1]:
+            return reason.CONVERGED_FNORM_ABS
+        return reason.ITERATING
+
+    def _correction(self) -> float:
+        """Norm of the last correction over that of u; infinite before the first correction."""
+        if self._before is None:
+            return np.inf
+        correction, displacement = self._norms(self._now.x - self._before.x, self._now.x)
+        return correction / displacement if displacement > 0 else 0.0
+
+    # ---- evaluation -----------------------------------------------------------------------------
+
+    def _set_u(self, owned: np.ndarray) -> None:
+        self.u.x.array[: self._size] = owned
+        self.u.x.scatter_forward()
+
+    def _evaluate_at_u(self) -> None:
+        """Law and nodal forces at u, unless u is where they were evaluated last."""
+        x = self.u.x.array[: self._size]
+        same = self._now is not None and np.array_equal(x, self._now.x)
+        if self._comm.allreduce(same, MPI.LAND):
+            return
+        before, self._now = self._now, None
+        self.operator.evaluate()
+        _dolfinx.assemble_vector(self._forces, self._residual)
+        forces = self._forces.array_r
+        free = np.delete(forces, self._constrained)
+        out_of_balance, reactions = self._norms(free, forces[self._constrained])
+        self._before, self._now = before, _Evaluated(x.copy(), out_of_balance, reactions)
+        if self._best is None or self._now.ratio < self._best.ratio:
+            self._best = self._now
+
+    def _norms(self, *arrays: np.ndarray) -> list[float]:
+        squares = np.array([np.dot(a, a) for a in arrays])
+        return list(np.sqrt(self._comm.allreduce(squares)))

@@ -1,0 +1,58 @@
+"""The quadrature points that a rank owns, in the order in which a law sees them."""
+
+from __future__ import annotations
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from . import _dolfinx
+from .elements import Element
+
+
+class QuadraturePoints:
+    """Quadrature points of the cells that this rank owns: cell by cell, then point by point.
+
+    Ghost cells have no points here: the rank that owns them computes them.
+
+    Attributes:
+        mesh: the mesh.
+        element: the element whose points these are.
+        cells: owned cells, local numbers, (c,).
+        size: number of points on this rank.
+        index: number of each point in the whole mesh, (size,). It depends on the order in which
+            the cells were given to the mesh, not on the number of ranks: seeds follow from it.
+    """
+
+    def __init__(self, mesh, element: Element):
+        self.mesh = mesh
+        self.element = element
+        self.cells = np.arange(_dolfinx.number_of_cells(mesh)[0], dtype=np.int32)
+        self.size = len(self.cells) * element.points_per_cell
+        original = np.asarray(mesh.topology.original_cell_index, dtype=np.int64)[self.cells]
+        per_cell = np.arange(element.points_per_cell)
+        self.index = (original[:, None] * element.points_per_cell + per_cell).ravel()
+        self.reference, self._weights = _dolfinx.quadrature_rule(
+            element.cell, element.quadrature_degree
+        )
+        self._x = fem.Expression(ufl.SpatialCoordinate(mesh), self.reference)
+        self._det = fem.Expression(abs(ufl.JacobianDeterminant(mesh)), self.reference)
+
+    def evaluate(self, expression: fem.Expression, shape: tuple[int, ...]) -> np.ndarray:
+        """Values at the points, (size, *shape), of an expression compiled at `reference`."""
+        values = _dolfinx.evaluate(expression, self.mesh, self.cells, shape)
+        return values.reshape(self.size, *shape)
+
+    def coordinates(self) -> np.ndarray:
+        """Where the points are in the present geometry, (size, gdim), m."""
+        return self.evaluate(self._x, (self.mesh.geometry.dim,))
+
+    def volumes(self) -> np.ndarray:
+        """Weight times Jacobian determinant in the present geometry, (size,), m^2 in 2D."""
+        return self.evaluate(self._det, ()) * np.tile(self._weights, len(self.cells))
+
+    def cell_means(self, values: np.ndarray) -> np.ndarray:
+        """Volume-weighted mean over each owned cell: (size, ...) -> (c, ...)."""
+        weights = self.volumes().reshape(len(self.cells), self.element.points_per_cell)
+        weights = weights / weights.sum(axis=1, keepdims=True)
+        return np.einsum("cq,cq...->c...", weights, values.reshape(*weights.shape, *values.shape[1:]))

@@ -1,0 +1,218 @@
+"""The constitutive law that the macro scale sees, and small laws with a closed form.
+
+A law holds the state of all quadrature points of a rank. `evaluate` deforms them from the
+committed state and is a function of F alone; `commit` makes the last trial the state.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+
+class InadmissibleDeformation(ValueError):
+    """A law cannot follow this deformation gradient.
+
+    The solver takes it as an iterate that went astray: the load step is cut, the run goes on. Any
+    other error of a law ends the run.
+    """
+
+
+class Law(Protocol):
+    """Stress of `size` material points as a function of their deformation gradient.
+
+    Attributes:
+        dim: 2 or 3.
+        size: number of material points on this rank.
+    """
+
+    dim: int
+    size: int
+
+    def evaluate(self, F: np.ndarray) -> np.ndarray:
+        """Cauchy stress at the end of the step, (n, d, d), Pa, tension positive.
+
+        Args:
+            F: deformation gradient relative to the committed state, (n, d, d).
+
+        Raises:
+            InadmissibleDeformation: F is beyond what the law can follow.
+        """
+        ...
+
+    def tangent(self) -> np.ndarray:
+        """C_ijkl = d stress_ij / d F_kl at the last trial (Argilaga eq. 4), (n, d, d, d, d), Pa."""
+        ...
+
+    def commit(self) -> None:
+        """Make the last trial the state."""
+        ...
+
+    def discard(self) -> None:
+        """Forget the last trial."""
+        ...
+
+    def save(self, group) -> None:
+        """Write the committed state into an HDF5 group."""
+        ...
+
+    def load(self, group) -> None:
+        """Read the committed state back, bit for bit."""
+        ...
+
+
+class _PlaneStrain:
+    """State handling of the laws below: named arrays, a committed set and a trial set."""
+
+    dim = 2
+
+    def __init__(self, **state: np.ndarray):
+        self.size = len(next(iter(state.values())))
+        self._state = state
+        self._trial = state
+        self._tangent = None
+
+    def commit(self) -> None:
+        self._state = self._trial
+
+    def discard(self) -> None:
+        self._trial = self._state
+
+    def save(self, group) -> None:
+        for name, values in self._state.items():
+            group.create_dataset(name, data=values)
+
+    def load(self, group) -> None:
+        self._state = {name: group[name][...] for name in self._state}
+        self._trial = self._state
+
+
+def elasticity(young: float, poisson: float) -> np.ndarray:
+    """Isotropic plane-strain stiffness C_ijkl, (2, 2, 2, 2), Pa.
+
+    Raises:
+        ValueError: modulus not positive, or Poisson's ratio outside (-1, 0.5).
+    """
+    lame, shear = _lame(young, poisson)
+    delta = np.eye(2)
+    return lame * np.einsum("ij,kl->ijkl", delta, delta) + shear * (
+        np.einsum("ik,jl->ijkl", delta, delta) + np.einsum("il,jk->ijkl", delta, delta)
+    )
+
+
+def _lame(young: float, poisson: float) -> tuple[float, float]:
+    if not young > 0 or not -1 < poisson < 0.5:
+        raise ValueError(
+            f"elastic law with E = {young} Pa, nu = {poisson}: E > 0 and -1 < nu < 0.5 are needed"
+        )
+    return young * poisson / ((1 + poisson) * (1 - 2 * poisson)), young / (2 * (1 + poisson))
+
+
+class LinearElastic(_PlaneStrain):
+    """Small-strain increments: stress = committed stress + C : sym(F - I).
+
+    Not objective; it belongs to the `small` formulation.
+
+    Args:
+        size: number of points.
+        young: Young's modulus, Pa.
+        poisson: Poisson's ratio.
+        initial_stress: (2, 2), Pa, the same everywhere; zero by default.
+    """
+
+    def __init__(self, size: int, young: float, poisson: float, initial_stress=None):
+        self._stiffness = elasticity(young, poisson)
+        stress = np.zeros((size, 2, 2))
+        if initial_stress is not None:
+            stress += initial_stress
+        super().__init__(stress=stress)
+
+    def evaluate(self, F: np.ndarray) -> np.ndarray:
+        stress = self._state["stress"] + np.einsum(
+            "ijkl,nkl->nij", self._stiffness, F - np.eye(2)
+        )
+        self._trial = {"stress": stress}
+        return stress
+
+    def tangent(self) -> np.ndarray:
+        return np.broadcast_to(self._stiffness, (self.size, 2, 2, 2, 2))
+
+
+class NeoHookean(_PlaneStrain):
+    """Compressible neo-Hookean solid: stress = (mu (b - I) + lambda ln(J) I) / J, b = F F^T.
+
+    Objective, and a function of the total deformation gradient: the end of a path does not
+    depend on the steps.
+
+    Args:
+        size: number of points.
+        young: Young's modulus at small strain, Pa.
+        poisson: Poisson's ratio at small strain.
+    """
+
+    def __init__(self, size: int, young: float, poisson: float):
+        self._lambda, self._mu = _lame(young, poisson)
+        super().__init__(F=np.broadcast_to(np.eye(2), (size, 2, 2)).copy())
+
+    def evaluate(self, F: np.ndarray) -> np.ndarray:
+        total = F @ self._state["F"]
+        volume = np.linalg.det(total)[:, None, None]
+        b = total @ total.transpose(0, 2, 1)
+        delta = np.eye(2)
+        stress = (self._mu * (b - delta) + self._lambda * np.log(volume) * delta) / volume
+        self._trial = {"F": total}
+        self._last = (np.linalg.inv(F), volume[..., None, None], b, stress)
+        return stress
+
+    def tangent(self) -> np.ndarray:
+        """With dF F^-1 = L: db = L b + b L^T and dJ = J tr L."""
+        inverse, volume, b, stress = self._last
+        delta = np.eye(2)
+        db = np.einsum("ik,njl->nijkl", delta, b @ inverse.transpose(0, 2, 1)) + np.einsum(
+            "nil,jk->nijkl", b @ inverse.transpose(0, 2, 1), delta
+        )
+        isotropic = self._lambda / volume * np.einsum("ij,nlk->nijkl", delta, inverse)
+        return self._mu / volume * db - np.einsum("nij,nlk->nijkl", stress, inverse) + isotropic
+
+
+class Softening(_PlaneStrain):
+    """Isotropic damage: stress = (1 - D) C : strain, strains small and summed over the steps.
+
+    With kappa the largest norm of strain so far, 1 - D = min(1, (k0 / kappa) exp(1 - kappa / k0)):
+    the stress rises linearly to kappa = k0 and falls as exp(1 - kappa / k0) behind it.
+
+    Args:
+        size: number of points.
+        young: Young's modulus, Pa.
+        poisson: Poisson's ratio.
+        threshold: k0, the strain norm at the peak; one value, or one per point (size,).
+    """
+
+    def __init__(self, size: int, young: float, poisson: float, threshold):
+        self._stiffness = elasticity(young, poisson)
+        self._threshold = np.broadcast_to(np.asarray(threshold, dtype=float), (size,)).copy()
+        if not (self._threshold > 0).all():
+            raise ValueError(f"softening threshold {self._threshold.min()}: it must be positive")
+        super().__init__(strain=np.zeros((size, 2, 2)), kappa=self._threshold)
+
+    def evaluate(self, F: np.ndarray) -> np.ndarray:
+        strain = self._state["strain"] + 0.5 * (F + F.transpose(0, 2, 1)) - np.eye(2)
+        kappa = np.maximum(self._state["kappa"], np.linalg.norm(strain, axis=(1, 2)))
+        elastic = np.einsum("ijkl,nkl->nij", self._stiffness, strain)
+        intact = self._intact(kappa)
+        self._trial = {"strain": strain, "kappa": kappa}
+        self._last = (strain, elastic, kappa, intact)
+        return intact[:, None, None] * elastic
+
+    def _intact(self, kappa: np.ndarray) -> np.ndarray:
+        ratio = kappa / self._threshold
+        return np.exp(1 - ratio) / ratio
+
+    def tangent(self) -> np.ndarray:
+        strain, elastic, kappa, intact = self._last
+        grows = kappa > self._state["kappa"]
+        slope = np.where(grows, -intact * (1 / self._threshold + 1 / kappa) / kappa, 0.0)
+        return intact[:, None, None, None, None] * self._stiffness + np.einsum(
+            "n,nij,nkl->nijkl", slope, elastic, strain
+        )
