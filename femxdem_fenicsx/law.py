@@ -129,9 +129,7 @@ class LinearElastic(_PlaneStrain):
         super().__init__(stress=stress)
 
     def evaluate(self, F: np.ndarray) -> np.ndarray:
-        stress = self._state["stress"] + np.einsum(
-            "ijkl,nkl->nij", self._stiffness, F - np.eye(2)
-        )
+        stress = self._state["stress"] + np.einsum("ijkl,nkl->nij", self._stiffness, F - np.eye(2))
         self._trial = {"stress": stress}
         return stress
 

@@ -23,7 +23,7 @@ def deformation_gradient(u):
 
 
 def small(u, stress, tangent, dx, pressures: Sequence = ()) -> tuple[ufl.Form, ufl.Form]:
-    """Infinitesimal strain and rotation (Guo-Zhao eq. 1 and 4): equilibrium at the start's geometry.
+    """Infinitesimal strain and rotation: equilibrium at the start's geometry (Guo-Zhao eq. 1, 4).
 
     The pressures act on the start's geometry along its normal.
     """

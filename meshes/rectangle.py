@@ -123,7 +123,7 @@ def vertex_near(mesh, x: float, y: float) -> np.ndarray:
         distance = np.hypot(points[0] - x, points[1] - y).round(12)
         order = np.lexsort([points[1], points[0], distance])[:1]
         own = [(distance[i], points[0][i], points[1][i]) for i in order]
-        _, at_x, at_y = min(sum(mesh.comm.allgather(own), []))
+        _, at_x, at_y = min(found for rank in mesh.comm.allgather(own) for found in rank)
         return np.hypot(points[0] - at_x, points[1] - at_y) < 1e-12
 
     return dmesh.locate_entities(mesh, 0, nearest)

@@ -34,7 +34,7 @@ class ExternalOperator:
 
     def __init__(self, deformation_gradient, law: Law, points: QuadraturePoints):
         self.law, self.points = law, points
-        mesh, element = points.mesh, points.element
+        mesh = points.mesh
         d = mesh.geometry.dim
         together(mesh.comm, self._check_law, d)
         self._shape = (points.size, d, d)

@@ -10,12 +10,9 @@ from petsc4py import PETSc
 PREFIX = "femxdem_"
 
 DEFAULTS = {
-    "snes_type": "qn",
-    "snes_qn_type": "broyden",
-    "snes_qn_scale_type": "jacobian",
-    "snes_qn_restart_type": "none",
-    "snes_qn_m": 10,
-    "snes_linesearch_type": "basic",
+    "snes_type": "python",
+    "snes_python_type": "femxdem_fenicsx.fem.anderson.Anderson",
+    "snes_linesearch_type": "basic",  # of other types: no law evaluations but one per iteration
     "ksp_type": "preonly",
     "pc_type": "lu",
     "pc_factor_mat_solver_type": "mumps",

@@ -55,4 +55,5 @@ class QuadraturePoints:
         """Volume-weighted mean over each owned cell: (size, ...) -> (c, ...)."""
         weights = self.volumes().reshape(len(self.cells), self.element.points_per_cell)
         weights = weights / weights.sum(axis=1, keepdims=True)
-        return np.einsum("cq,cq...->c...", weights, values.reshape(*weights.shape, *values.shape[1:]))
+        by_cell = values.reshape(*weights.shape, *values.shape[1:])
+        return np.einsum("cq,cq...->c...", weights, by_cell)
