@@ -1,0 +1,193 @@
+"""From F_i to F_f: a packing is deformed at a quasi-static rate, then held until it is at rest."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from . import dynamics
+from .accuracy import Accuracy
+from .aliasing import kernel
+from .dynamics import NO_ROOM, OK
+from .homogenisation import measure
+from .neighbours import remember
+from .packing import Packing
+from .stability import stable_time_step
+
+#: Steps of a hold between two looks at its criterion.
+HOLD_BLOCK = 25
+#: Fewest loading steps of an increment that is not zero.
+FEWEST_STEPS = 4
+
+
+class Loading(NamedTuple):
+    """Settings of `deform`, as the kernel takes them."""
+
+    inertial_number: float
+    tolerance: float
+    hold_limit: int
+    time_step: float  # s
+    damping: float
+    hold_damping: float
+    mean_diameter: float  # m
+    density: float  # kg/m3
+    thickness: float  # m
+    least_pressure: float  # Pa; a packing under less is loaded and held as if under this
+
+
+class Outcome(NamedTuple):
+    """What `deform` tells of the B packings, one row each."""
+
+    stress: np.ndarray  # (B, 2, 2) Pa
+    fabric: np.ndarray  # (B, 2, 2)
+    loading_steps: np.ndarray  # (B,)
+    hold_steps: np.ndarray  # (B,)
+    unbalance: np.ndarray  # (B,) of eq. 19 at the end; 0 without contacts
+    at_rest: np.ndarray  # (B,) bool: the hold ended by its criterion, not by its limit
+    contacts: np.ndarray  # (B,)
+    overlap: np.ndarray  # (B,) largest, over the mean diameter of its grains
+
+    @classmethod
+    def of(cls, size: int) -> "Outcome":
+        """Room for that many packings."""
+        return cls(
+            np.zeros((size, 2, 2)), np.zeros((size, 2, 2)), np.zeros(size, np.int64),
+            np.zeros(size, np.int64), np.zeros(size), np.zeros(size, np.bool_),
+            np.zeros(size, np.int64), np.zeros(size),
+        )  # fmt: skip
+
+
+def settings(packing: Packing, accuracy: Accuracy, pressure: float) -> Loading:
+    """Settings for packings like this one, at work around `pressure` (Pa, positive)."""
+    return Loading(
+        accuracy.inertial_number,
+        accuracy.tolerance,
+        accuracy.hold_limit,
+        accuracy.time_step * stable_time_step(packing),
+        accuracy.damping,
+        accuracy.hold_damping,
+        packing.mean_diameter,
+        packing.density,
+        packing.thickness,
+        0.02 * pressure,
+    )
+
+
+def logarithm(F: np.ndarray) -> np.ndarray:
+    """Matrix logarithm of F (..., d, d), by square roots and the series of artanh.
+
+    L = ln F / tau is the constant velocity gradient that leads from I to F in the time tau.
+    Raises ValueError, with the number of the first bad one, where F has values that are not
+    finite, no positive determinant, or turns by about 180 degrees.
+    """
+    F = np.asarray(F, dtype=np.float64)
+    identity = np.eye(F.shape[-1])
+    determinant = np.linalg.det(F) if np.isfinite(F).all() else np.full(F.shape[:-2], np.nan)
+    if not (determinant > 0).all():
+        bad = int(np.flatnonzero(~(np.atleast_1d(determinant) > 0))[0])
+        raise ValueError(
+            f"deformation gradient {bad} is not finite or has a determinant that is not positive:"
+            " the load step is too large or the mesh is turned inside out"
+        )
+    root, halvings = F, 0
+    while np.abs(root - identity).max(initial=0.0) > 0.1:
+        root, halvings = _square_root(root), halvings + 1
+        if halvings > 12 or not np.isfinite(root).all():
+            raise ValueError("a deformation gradient turns by about 180 degrees in one increment")
+    z = np.linalg.solve(root + identity, root - identity)
+    square, term, total = z @ z, z, z
+    for k in range(3, 21, 2):
+        term = term @ square
+        total = total + term / k
+    return 2.0 ** (halvings + 1) * total
+
+
+def _square_root(F: np.ndarray) -> np.ndarray:
+    """Principal square root of F (..., d, d) by Denman-Beavers iteration."""
+    Y, Z = F, np.broadcast_to(np.eye(F.shape[-1]), F.shape)
+    for _ in range(12):
+        Y, Z = 0.5 * (Y + np.linalg.inv(Z)), 0.5 * (Z + np.linalg.inv(Y))
+    return Y
+
+
+def shear_of(log_F: np.ndarray) -> np.ndarray:
+    """gamma = e_1 - e_3 of the strain, the symmetric part of ln F (n, d, d), Desrues eq. 17.
+
+    Out of the plane e = 0, so that gamma is never zero unless the strain is. Shape (n,).
+    """
+    principal = np.linalg.eigvalsh(0.5 * (log_F + np.swapaxes(log_F, -1, -2)))
+    return np.maximum(principal[..., -1], 0.0) - np.minimum(principal[..., 0], 0.0)
+
+
+def pressure_of(stress: np.ndarray) -> np.ndarray:
+    """Mean pressure of stress (..., d, d), Pa, compression positive."""
+    return -np.trace(stress, axis1=-2, axis2=-1) / stress.shape[-1]
+
+
+@kernel
+def deform(b, row, F, log_F, shear, pressure, material, loading, state, new, outcome, work):
+    """Deform packing b by F (2, 2) in the time of its shear, then hold it; Desrues eq. 16-19.
+
+    `state` holds the arrays of a PackingBatch, packings at rest: what still moved at the end of
+    the last hold is stopped (measured: no difference in stress). The new state goes to row b of
+    `new`, another such tuple, or nowhere where that is None; what is measured goes to `row` of
+    `outcome`.
+    Returns OK, or NO_ROOM where the work space is too small for its contacts: nothing is written.
+    """
+    motion, history = work.motion, work.history
+    motion.box[:] = state[0][b]
+    motion.position[:] = state[1][b]
+    motion.velocity[:] = 0.0
+    motion.rim_speed[:] = 0.0
+    history.first[:] = state[2][b]
+    count = history.first[-1]
+    history.j[:count] = state[3][b, :count]
+    history.tangential[:count] = state[4][b, :count]
+    final_box = F @ motion.box
+    if dynamics.start(material, work) != OK:
+        return NO_ROOM
+
+    held_pressure = max(pressure, loading.least_pressure)
+    speed = loading.inertial_number * math.sqrt(held_pressure / loading.density)
+    duration = shear * loading.mean_diameter / speed  # tau of eq. 18
+    steps = 0
+    if np.abs(log_F).max() > 0.0:
+        steps = max(math.ceil(duration / loading.time_step), FEWEST_STEPS)
+        dt = min(duration / steps, loading.time_step) if duration > 0 else loading.time_step
+        if dynamics.advance(steps, dt, log_F / (steps * dt), loading.damping, material, work) != OK:
+            return NO_ROOM
+        motion.box[:] = final_box
+
+    weakest = held_pressure * loading.mean_diameter * loading.thickness
+    still = np.zeros((2, 2))
+    held, ratio, at_rest = 0, 0.0, False
+    while not at_rest and held < loading.hold_limit:
+        if (
+            dynamics.advance(
+                HOLD_BLOCK, loading.time_step, still, loading.hold_damping, material, work
+            )
+            != OK
+        ):
+            return NO_ROOM
+        held += HOLD_BLOCK
+        net, contact = dynamics.unbalance(work)
+        ratio = net / max(contact, 1e-3 * weakest)
+        at_rest = ratio < loading.tolerance
+
+    if new is not None:
+        remember(work.pairs, history)
+        count = history.first[-1]
+        if count > new[3].shape[1]:
+            return NO_ROOM
+        new[0][b] = motion.box
+        new[1][b] = motion.position
+        new[2][b] = history.first
+        new[3][b, :count] = history.j[:count]
+        new[4][b, :count] = history.tangential[:count]
+    outcome.contacts[row], outcome.overlap[row] = measure(
+        motion, work.pairs, material.cohesion, loading.thickness, outcome.stress[row],
+        outcome.fabric[row],
+    )  # fmt: skip
+    outcome.loading_steps[row], outcome.hold_steps[row] = steps, held
+    outcome.unbalance[row], outcome.at_rest[row] = ratio, at_rest
+    return OK

@@ -1,0 +1,140 @@
+"""The answer of B packings to B deformation gradients, computed on the threads of this process."""
+
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from .accuracy import Accuracy
+from .dynamics import OK, Workspace, workspace
+from .homogenisation import fabric, stress, touching
+from .loading import Outcome, deform, logarithm, pressure_of, settings, shear_of
+from .packing import PAIRS_PER_GRAIN, Packing, PackingBatch
+
+#: A packing with more pairs than that per grain has collapsed.
+MOST_PAIRS_PER_GRAIN = 40
+
+
+class Response:
+    """B packings with a committed state and a trial state.
+
+    `deform` always starts from the committed state, so that its result is a function of F alone;
+    `commit` makes the trial the state. Results do not depend on the number of threads.
+
+    Attributes:
+        committed, trial: the two states. latest: the one of the two that was computed last.
+        outcome: what was measured at `latest`. committed_outcome: the same at `committed`.
+        pressure: (B,) Pa, of the committed state.
+    """
+
+    def __init__(self, packing: Packing, size: int, accuracy: Accuracy, threads: int = 1):
+        """`size` copies of `packing`, at work around the packing's own pressure.
+
+        Raises ValueError for a size or a number of threads that is not possible.
+        """
+        if threads < 1:
+            raise ValueError(f"threads must be 1 or more, got {threads}")
+        self.committed = PackingBatch.of(packing, size)
+        self.trial = self.committed.copy()
+        self.material = packing.material
+        self.threads = threads
+        self._spaces: deque[Workspace] = deque()
+        self._capacity = PAIRS_PER_GRAIN * packing.size
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        contacts = touching(packing)
+        initial = stress(packing, contacts)
+        confining = max(float(pressure_of(initial)), 1e-6 * packing.contact_modulus)
+        self.loading = settings(packing, accuracy, confining)
+        self.committed_outcome = Outcome.of(size)
+        self.committed_outcome.stress[:] = initial
+        self.committed_outcome.fabric[:] = fabric(contacts)
+        self.committed_outcome.contacts[:] = len(contacts.pairs)
+        self.committed_outcome.at_rest[:] = True
+        self._cost = np.zeros(size)
+        self.discard()
+
+    @property
+    def size(self) -> int:
+        """Number of packings."""
+        return self.committed.size
+
+    def deform(self, F: np.ndarray) -> Outcome:
+        """Trial state at F (B, 2, 2) relative to the committed state; what was measured there.
+
+        Raises ValueError for an F that is not a deformation (see `loading.logarithm`).
+        """
+        self.outcome = self._run(F, np.arange(self.size), self.trial.state)
+        self.latest = self.trial
+        self._cost = self.outcome.loading_steps + self.outcome.hold_steps
+        return self.outcome
+
+    def probe(self, F: np.ndarray, packings: np.ndarray) -> Outcome:
+        """What packings (n,) would answer to F (n, 2, 2); the trial state stays as it is."""
+        return self._run(F, packings, None)
+
+    def commit(self) -> None:
+        """The trial state becomes the state; without a trial nothing changes."""
+        if self.latest is self.trial:
+            self.committed, self.trial = self.trial, self.committed
+            self.committed_outcome = self.outcome
+        self.discard()
+
+    def discard(self) -> None:
+        """Forget the trial state: the latest state is the committed one again."""
+        self.latest, self.outcome = self.committed, self.committed_outcome
+        self.pressure = pressure_of(self.outcome.stress)
+
+    def _run(self, F, packings, new) -> Outcome:
+        F = np.ascontiguousarray(F, dtype=np.float64)
+        log_F = logarithm(F)
+        shear = shear_of(log_F)
+        outcome = Outcome.of(len(packings))
+        state = self.committed.state
+
+        def one(row: int) -> None:
+            b = packings[row]
+            self.with_workspace(
+                lambda work: deform(
+                    b, row, F[row], log_F[row], shear[row], self.pressure[b], self.material,
+                    self.loading, state, new, outcome, work,
+                ),
+                f"packing {b}",
+            )  # fmt: skip
+
+        expensive_first = np.argsort(-self._cost[packings], kind="stable")
+        self.for_each(one, expensive_first)
+        return outcome
+
+    def for_each(self, task: Callable[[int], None], order: np.ndarray) -> None:
+        """Run task(k) for every k of `order`, on all threads; the first error is raised."""
+        if self._pool is None:
+            for k in order:
+                task(int(k))
+            return
+        for _ in self._pool.map(task, [int(k) for k in order]):
+            pass
+
+    def with_workspace(self, compute: Callable[[Workspace], int], name: str) -> None:
+        """Call compute(work) with a work space that no other thread uses, a larger one if need be.
+
+        Raises FloatingPointError where even a very large one does not do.
+        """
+        try:
+            work = self._spaces.pop()
+        except IndexError:
+            work = self._new_workspace()
+        while compute(work) != OK:
+            capacity = 2 * work.pairs.i.size
+            if capacity > MOST_PAIRS_PER_GRAIN * self.committed.template.size:
+                raise FloatingPointError(
+                    f"{name}: its grains have collapsed onto each other; take smaller steps, a"
+                    " stiffer contact law or a smaller time step"
+                )
+            self._capacity = max(self._capacity, capacity)
+            work = self._new_workspace()
+        self._spaces.append(work)
+
+    def _new_workspace(self) -> Workspace:
+        viscous = self.material.viscosity is not None
+        return workspace(self.committed.template.size, self._capacity, viscous)
