@@ -74,6 +74,10 @@ class Anderson:
         snes.setIterationNumber(iteration)
         snes.setFunctionNorm(norm)
         snes.monitor(iteration, norm)
-        reason = snes.callConvergenceTest(iteration, x.norm(), step, norm)
+        reasons = PETSc.SNES.ConvergedReason
+        if np.isfinite(norm):
+            reason = snes.callConvergenceTest(iteration, x.norm(), step, norm)
+        else:
+            reason = reasons.DIVERGED_FNORM_NAN
         snes.setConvergedReason(reason)
-        return reason != PETSc.SNES.ConvergedReason.ITERATING
+        return reason != reasons.ITERATING

@@ -73,8 +73,8 @@ class ExternalOperator:
 
     def _evaluate(self, F: np.ndarray) -> np.ndarray:
         far = np.abs(F - np.eye(F.shape[1])).max(axis=(1, 2), initial=0.0)
-        # the negation catches NaN too
-        wrong = np.flatnonzero(~((far <= LARGEST_INCREMENT) & (np.linalg.det(F) > 0)))
+        with np.errstate(invalid="ignore"):
+            wrong = np.flatnonzero(~((far <= LARGEST_INCREMENT) & (np.linalg.det(F) > 0)))
         if len(wrong):
             raise InadmissibleDeformation(
                 f"deformation gradient {F[wrong[0]].tolist()} of one step at quadrature point "

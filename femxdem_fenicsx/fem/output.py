@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 from dolfinx import fem, io
@@ -50,7 +51,8 @@ class Fields:
     def __init__(self, path: str | Path, points: QuadraturePoints, displacement: fem.Function):
         self._points, self._displacement = points, displacement
         self._functions: dict[str, fem.Function] = {}
-        self._file = io.XDMFFile(points.mesh.comm, str(Path(path).with_suffix(".xdmf")), "w")
+        self._path = Path(path).with_suffix(".xdmf")
+        self._file = io.XDMFFile(points.mesh.comm, str(self._path), "w")
         self._file.write_mesh(points.mesh)
 
     def __enter__(self) -> Fields:
@@ -75,6 +77,8 @@ class Fields:
             function.x.array.reshape(-1, means.shape[1])[dofs] = means
             function.x.scatter_forward()
             self._file.write_function(function, time)
+        if self._points.mesh.comm.rank == 0:
+            _one_grid_per_time(self._path)
 
     def _function(self, name: str, shape: tuple[int, ...]) -> fem.Function:
         if name not in self._functions:
@@ -87,6 +91,33 @@ class Fields:
     def close(self) -> None:
         """Complete the files."""
         self._file.close()
+
+
+def _one_grid_per_time(path: Path) -> None:
+    """Gather the attributes of each time into one grid.
+
+    DOLFINx writes one series of grids per function, so that ParaView could not warp the stress by
+    the displacement. It keeps its own document in memory and writes it anew each time.
+    """
+    domain = ElementTree.parse(path).getroot().find("Domain")
+    shape = [domain.find("Grid[@GridType='Uniform']").find(tag) for tag in ("Topology", "Geometry")]
+    attributes: dict[str, list[ElementTree.Element]] = {}
+    for grid in domain.findall("Grid[@GridType='Collection']/Grid"):
+        time = grid.find("Time").get("Value")
+        attributes.setdefault(time, []).extend(grid.findall("Attribute"))
+    document = ElementTree.Element("Xdmf", Version="3.0")
+    series = ElementTree.SubElement(
+        ElementTree.SubElement(document, "Domain"),
+        "Grid",
+        Name=path.stem,
+        GridType="Collection",
+        CollectionType="Temporal",
+    )
+    for time, present in attributes.items():
+        grid = ElementTree.SubElement(series, "Grid", Name=path.stem, GridType="Uniform")
+        ElementTree.SubElement(grid, "Time", Value=time)
+        grid.extend([*shape, *present])
+    ElementTree.ElementTree(document).write(path, encoding="utf-8", xml_declaration=True)
 
 
 class History:

@@ -172,10 +172,10 @@ class Problem:
             Exception: any error of the law but InadmissibleDeformation, on all ranks.
         """
         started = self.operator.evaluations
-        self._now = self._before = self._best = None
-        self._astray = ""
+        self._now, self._astray = None, ""
         _, self._values = _dolfinx.prescribed(self._work, self.bcs)
         self._x.array[:] = self._first_guess(step)
+        self._now = self._before = self._best = None  # u = 0 was no iterate
         self.snes.solve(None, self._x)
         converged = self.snes.getConvergedReason() > 0
         if converged:

@@ -1,0 +1,1 @@
+from tests.petsc import petsc_options  # noqa: F401

@@ -1,0 +1,74 @@
+"""A run for test_parallel.py: ``python -m tests.fem.parallel_run numbers|raise|astray``."""
+
+import json
+import sys
+
+import numpy as np
+from mpi4py import MPI
+
+from femxdem_fenicsx.fem.stepping import LoadStepping, walk
+from femxdem_fenicsx.law import Softening
+from tests.fem.laws import Failing, Fragile
+from tests.fem.specimen import Specimen
+
+COMM = MPI.COMM_WORLD
+
+
+def by_number(points) -> np.ndarray:
+    return 0.02 * (1 + 0.3 * np.sin(1.7 * points.index))
+
+
+def numbers() -> dict:
+    found = {}
+    for name in ("Q4", "Q8", "T6"):
+        for formulation in ("small", "finite"):
+            specimen = Specimen(
+                lambda points: Softening(points.size, 100.0, 0.3, by_number(points)),
+                name=name,
+                formulation=formulation,
+                rough=True,
+                tolerance=1e-13,
+            )
+            specimen.pressure.value = 0.2
+            forces = []
+            outcome = walk(
+                specimen.problem,
+                specimen.compress,
+                0.012,
+                LoadStepping(0.004),
+                lambda record, s=specimen, f=forces: f.append([s.top_force(), s.volume()]),
+            )
+            x = specimen.points.coordinates()
+            total = COMM.allreduce((specimen.points.index[:, None] * x).sum(axis=0))
+            found[f"{name} {formulation}"] = [*np.ravel(forces), *total, outcome.evaluations]
+    return found
+
+
+def fail(error: Exception) -> None:
+    law = lambda points: Failing(points.size, error, fails=COMM.rank == COMM.size - 1)  # noqa: E731
+    specimen = Specimen(law, formulation="small", rough=True)
+    walk(specimen.problem, specimen.compress, 0.01, LoadStepping(0.001))
+
+
+def astray() -> dict:
+    """A law that gives up on one rank only: all cut the step and arrive."""
+
+    def law(points):
+        limit = 0.006 if COMM.rank == 0 else 1.0
+        return Fragile(points.size, limit)
+
+    specimen = Specimen(law, distortion=0.0)
+    outcome = walk(specimen.problem, specimen.compress, 0.02, LoadStepping(0.01))
+    return {"load": outcome.load, "cuts": outcome.cuts}
+
+
+if __name__ == "__main__":
+    task = sys.argv[1]
+    if task == "raise":
+        try:
+            fail(RuntimeError("the packing exploded"))
+        except RuntimeError as error:
+            sys.exit(f"rank {COMM.rank} ends: {error}")
+    result = numbers() if task == "numbers" else astray()
+    if COMM.rank == 0:
+        print(json.dumps(result))

@@ -1,0 +1,179 @@
+"""One load step: law evaluations, criteria, what is committed, PETSc options."""
+
+import numpy as np
+import pytest
+from petsc4py import PETSc
+
+from femxdem_fenicsx.fem.options import petsc_options as pass_on
+from femxdem_fenicsx.fem.problem import Convergence
+from femxdem_fenicsx.law import InadmissibleDeformation, LinearElastic, NeoHookean
+from tests.fem.laws import Counting, Failing, Fragile, Noisy, TooStiff
+from tests.fem.specimen import Specimen
+
+
+def counting(**options) -> Specimen:
+    return Specimen(lambda points: Counting(points.size), rough=True, **options)
+
+
+def test_each_iterate_is_evaluated_once_and_the_tangent_once_per_step():
+    specimen = counting()
+    for step, from_zero in enumerate((1, 0)):  # only the first guess of the first step costs more
+        specimen.compress(0.05 * step, 0.05 * (step + 1))
+        before = specimen.law.evaluations, specimen.law.tangents
+        solution = specimen.problem.solve()
+        assert solution.evaluations == specimen.law.evaluations - before[0]
+        assert solution.evaluations == solution.iterations + 1 + from_zero
+        assert specimen.law.tangents - before[1] == 1 + from_zero
+        specimen.problem.accept()
+        assert specimen.law.evaluations == before[0] + solution.evaluations
+    assert specimen.operator.evaluations == specimen.law.evaluations
+
+
+def test_snes_asking_again_at_the_same_point_costs_nothing():
+    specimen = counting()
+    snes, f = specimen.problem.snes, specimen.problem._x.duplicate()
+    x = f.duplicate()
+    snes.computeFunction(x, f)
+    first = f.norm()
+    snes.computeFunction(x, f)
+    assert specimen.law.evaluations == 1
+    x.shift(1e-300)  # another point is another point, however near
+    snes.computeFunction(x, f)
+    assert specimen.law.evaluations == 2
+    assert f.norm() == first
+
+
+def test_the_law_is_committed_at_the_very_iterate_that_is_accepted():
+    specimen = counting()
+    specimen.compress(0.0, 0.05)
+    specimen.problem.solve()
+    u = specimen.u.x.array.copy()
+    specimen.law.evaluate(np.tile(1.1 * np.eye(2), (specimen.points.size, 1, 1)))
+    specimen.problem._now = None  # as if the last evaluation had been elsewhere
+    specimen.problem.accept()
+    specimen.u.x.array[:] = u
+    # the mesh has moved with u: going back by the same displacements undoes the deformation
+    np.testing.assert_allclose(specimen.law.F, specimen.law._state["F"], atol=1e-15)
+    total = specimen.points.volumes().sum() / 2.0
+    assert np.linalg.det(specimen.law._state["F"]).mean() == pytest.approx(total, rel=2e-2)
+
+
+def test_rejecting_a_step_leaves_no_trace():
+    specimen, other = counting(), counting()
+    specimen.compress(0.0, 0.2)
+    specimen.problem.solve()
+    specimen.problem.reject()
+    assert not specimen.u.x.array.any()
+    for each in (specimen, other):
+        each.compress(0.0, 0.05)
+        each.problem.solve()
+        each.problem.accept()
+    assert specimen.top_force() == other.top_force()
+
+
+def test_the_default_scheme_needs_few_evaluations_with_a_tangent_that_is_too_stiff(petsc_options):
+    evaluations = {}
+    for scheme in ("python", "newtonls"):
+        petsc_options(f"-femxdem_snes_type {scheme}")
+        specimen = Specimen(
+            lambda points: TooStiff(points.size), rough=True, tolerance=1e-2, max_iterations=50
+        )
+        count = []
+        for step in range(8):
+            specimen.compress(0.01 * step, 0.01 * (step + 1))
+            solution = specimen.problem.solve()
+            assert solution.converged
+            specimen.problem.accept()
+            count.append(solution.evaluations)
+        evaluations[scheme] = np.mean(count[1:])
+    assert evaluations["python"] <= 3.0
+    assert evaluations["python"] <= evaluations["newtonls"]
+
+
+@pytest.mark.parametrize("scheme", ["python", "newtonls", "qn"])
+def test_an_astray_first_guess_is_a_failed_solve_and_no_crash(scheme, petsc_options):
+    petsc_options(f"-femxdem_snes_type {scheme}")
+    specimen = Specimen(lambda points: NeoHookean(points.size, 100.0, 0.3), tolerance=1e-4)
+    specimen.compress(0.0, 0.9)
+    solution = specimen.problem.solve()
+    assert not solution.converged
+    assert "went astray" in solution.reason
+    assert not solution.residual <= 5e-2
+    specimen.problem.reject()
+    specimen.compress(0.0, 0.01)
+    assert specimen.problem.solve().converged
+
+
+@pytest.mark.parametrize("scheme", ["python", "newtonls", "qn"])
+def test_an_iterate_that_goes_astray_later_is_a_failed_solve_too(scheme, petsc_options):
+    petsc_options(f"-femxdem_snes_type {scheme}")
+    error = InadmissibleDeformation("lost")
+    specimen = Specimen(lambda points: Failing(points.size, error), rough=True)
+    specimen.compress(0.0, 0.1)
+    solution = specimen.problem.solve()
+    assert not solution.converged and solution.reason == "lost" and solution.evaluations == 3
+    assert 0 < solution.residual < 1
+
+
+def test_what_the_law_cannot_follow_is_the_reason_of_a_failed_solve():
+    specimen = Specimen(lambda points: Fragile(points.size, 0.01))
+    specimen.compress(0.0, 0.05)
+    assert specimen.problem.solve().reason == "grains lose their neighbours"
+
+
+def test_an_unconverged_solve_leaves_the_best_iterate():
+    specimen = Specimen(lambda points: Noisy(points.size, 0.03), tolerance=1e-6, rough=True)
+    norms = []
+    specimen.problem.snes.setMonitor(lambda snes, iteration, norm: norms.append(norm))
+    specimen.compress(0.0, 0.01)
+    solution = specimen.problem.solve()
+    assert not solution.converged
+    assert solution.reason == "DIVERGED_MAX_IT"
+    specimen.problem.accept()
+    free = np.delete(specimen.problem._forces.array, specimen.problem._constrained)
+    assert np.linalg.norm(free) == pytest.approx(min(norms))
+
+
+def test_displacement_criterion_alone_asks_for_a_correction_first():
+    specimen = Specimen(lambda points: LinearElastic(points.size, 100.0, 0.3), formulation="small")
+    specimen.compress(0.0, 0.01)
+    specimen.problem.convergence = Convergence(force=None, displacement=1e-2)
+    assert specimen.problem.solve().iterations == 1
+    specimen.problem.reject()
+    specimen.problem.convergence = Convergence(force=1e-2)
+    assert specimen.problem.solve().iterations == 0
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"force": None},
+        {"force": 0.0},
+        {"displacement": -1.0},
+        {"max_iterations": 0},
+    ],
+)
+def test_criteria_that_cannot_hold_are_refused(arguments):
+    with pytest.raises(ValueError, match="give positive limits, one at least"):
+        Convergence(**arguments)
+
+
+def test_options_of_the_command_line_win_and_ours_do_not_stay(petsc_options):
+    petsc_options("-femxdem_snes_max_it 3 -femxdem_pc_factor_mat_solver_type petsc")
+    specimen = counting()
+    assert specimen.problem.snes.getTolerances()[3] == 3
+    assert specimen.problem.snes.getType() == "python"
+    assert specimen.problem.snes.getKSP().getPC().getFactorSolverType() == "petsc"
+    assert not PETSc.Options().hasName("femxdem_snes_type")
+
+
+def test_leftover_arguments_reach_petsc(petsc_options):
+    pass_on(["-femxdem_snes_max_it", "7", "-femxdem_snes_atol", "-1e-3", "-femxdem_snes_monitor"])
+    assert PETSc.Options().getInt("femxdem_snes_max_it") == 7
+    assert PETSc.Options().hasName("femxdem_snes_monitor")
+
+
+@pytest.mark.parametrize("arguments", [["--elemnt", "Q8"], ["Q8"], ["-a", "1", "2"]])
+def test_a_misspelt_argument_is_no_petsc_option(arguments, petsc_options):
+    with pytest.raises(ValueError, match="unknown argument"):
+        pass_on(arguments)
