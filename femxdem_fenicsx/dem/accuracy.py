@@ -21,7 +21,7 @@ class Accuracy:
     tolerance: float = 1e-2
     hold_limit: int = 4000
     time_step: float = 0.8
-    damping: float = 0.1
+    damping: float = 0.3
     hold_damping: float = 0.5
 
     def __post_init__(self):

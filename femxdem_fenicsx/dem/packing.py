@@ -146,6 +146,8 @@ class PackingBatch:
 
     Attributes, all contiguous, first index the packing:
         box (B, 2, 2), position (B, 2, N): where the grains are;
+        flow (B, 3, N), flow_gradient (B, 2, 2): how they moved when they were last loaded, that is
+            velocities beyond the affine motion and rim speed (m/s), and the L that caused it (1/s);
         row (B, N + 1), second (B, C), tangential (B, C): contacts that hold a tangential force,
             in compressed rows (`neighbours.History`).
         template: the packing that gives radii, contact law, density and thickness.
@@ -154,11 +156,13 @@ class PackingBatch:
     template: Packing
     box: np.ndarray
     position: np.ndarray
+    flow: np.ndarray
+    flow_gradient: np.ndarray
     row: np.ndarray
     second: np.ndarray
     tangential: np.ndarray
 
-    STATE = ("box", "position", "row", "second", "tangential")
+    STATE = ("box", "position", "flow", "flow_gradient", "row", "second", "tangential")
 
     @classmethod
     def of(cls, packing: Packing, size: int) -> "PackingBatch":
@@ -171,6 +175,8 @@ class PackingBatch:
             packing,
             np.zeros((size, 2, 2)),
             np.zeros((size, 2, N)),
+            np.zeros((size, 3, N)),
+            np.zeros((size, 2, 2)),
             np.zeros((size, N + 1), np.uint32),
             np.zeros((size, room), np.uint32),
             np.zeros((size, room)),
@@ -203,6 +209,8 @@ class PackingBatch:
             raise ValueError(f"PackingBatch: {count} contacts, room for {self.second.shape[1]}")
         self.box[b] = packing.box
         self.position[b] = packing.positions.T
+        self.flow[b] = 0.0
+        self.flow_gradient[b] = 0.0
         self.row[b] = np.searchsorted(pairs[:, 0], np.arange(packing.size + 1))
         self.second[b, :count] = pairs[:, 1]
         self.tangential[b, :count] = packing.tangential[order]

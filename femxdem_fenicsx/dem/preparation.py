@@ -1,0 +1,165 @@
+"""Random packings: grains thrown into a wide box, which is compressed to a target stress."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from . import dynamics
+from .contacts import LinearContact
+from .dynamics import OK
+from .homogenisation import measure
+from .loading import pressure_of
+from .neighbours import remember
+from .packing import PAIRS_PER_GRAIN, Packing
+from .stability import stable_time_step
+
+#: Local damping (Guo-Zhao eq. 18) while a packing is prepared.
+DAMPING = 0.3
+#: Steps between two looks at the stress.
+BLOCK = 25
+#: Most blocks before a preparation is given up.
+MOST_BLOCKS = 40000
+
+
+def random_packing(
+    grains: int = 400,
+    radii: tuple[float, float] = (3e-3, 7e-3),
+    law: LinearContact | None = None,
+    pressure: float = 1e5,
+    compaction_friction: float = 0.0,
+    seed: int = 1,
+    density: float = 2650.0,
+    thickness: float = 0.1,
+    tolerance: float = 1e-3,
+    progress: Callable[[float], None] | None = None,
+) -> Packing:
+    """A periodic packing of random disks at rest under an isotropic pressure.
+
+    Args:
+        grains: their number.
+        radii: the two bounds of a uniform distribution, m (defaults: Guo-Zhao table I).
+        law: contact law of the finished packing; Guo-Zhao's by default.
+        pressure: Pa, compression positive.
+        compaction_friction: friction during the compression, which steers the void ratio: 0 gives
+            a dense packing, more a looser one.
+        seed: of the random numbers; same seed, same packing.
+        density: of the grains, kg/m3.
+        thickness: out of plane, m.
+        tolerance: on every stress component over the pressure, and on Desrues eq. 19.
+        progress: called now and then with the pressure reached over the pressure wanted.
+
+    Raises:
+        ValueError: for values that make no packing.
+        RuntimeError: if the target is not reached.
+    """
+    law = law or LinearContact(modulus=6e8, stiffness_ratio=0.8, friction=float(np.tan(0.5)))
+    if grains < 1:
+        raise ValueError(f"a packing needs 1 grain or more, got {grains}")
+    if not 0 < radii[0] <= radii[1] < np.inf:
+        raise ValueError(f"radii: need 0 < smallest <= largest (m), got {radii[0]} and {radii[1]}")
+    if not 0 < pressure < np.inf:
+        raise ValueError(f"pressure: must be positive (Pa), got {pressure}")
+    rng = np.random.default_rng(seed)
+    compaction_law = replace(law, friction=compaction_friction, cohesion=0.0)
+    dilute = _dilute(grains, radii, compaction_law, density, thickness, rng)
+    compacted = compress(dilute, pressure, tolerance, rng, progress)
+    return settle(compacted.but(law=law), pressure, tolerance)
+
+
+def _dilute(grains, radii, law, density, thickness, rng) -> Packing:
+    """Grains on randomly chosen places of a square lattice that is too wide for any contact."""
+    columns = int(np.ceil(np.sqrt(grains)))
+    rows = int(np.ceil(grains / columns))
+    places = np.stack(np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"), -1)
+    places = rng.permutation(places.reshape(-1, 2))[:grains]
+    spacing = 2.1 * radii[1]
+    sizes = rng.uniform(radii[0], radii[1], grains)
+    jitter = rng.uniform(-0.02, 0.02, (grains, 2))
+    positions = (places + 0.5 + jitter) / (columns, rows)
+    box = np.diag([columns, rows]) * spacing
+    return Packing(box, positions, sizes, law, density, thickness)
+
+
+def compress(
+    packing: Packing,
+    pressure: float,
+    tolerance: float = 1e-3,
+    rng: np.random.Generator | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Packing:
+    """Bring a packing to rest under an isotropic pressure by moving its box.
+
+    The box strains at the rate -(sigma + p I) / (K T): K is the affine stiffness of the contacts
+    that there are, T the time of `BLOCK` steps twice over; the inertial number never exceeds 0.01.
+    With `rng`, the grains start with random velocities, which mix a dilute packing.
+
+    Raises RuntimeError where the target is not reached.
+    """
+    material = packing.material
+    work = _workspace_of(packing)
+    speed = np.sqrt(pressure / packing.density)
+    if rng is not None:
+        work.motion.velocity[:] = 0.3 * speed * rng.normal(size=work.motion.velocity.shape)
+    fastest = 1e-2 * speed / packing.mean_diameter
+    dt = 0.5 * stable_time_step(packing.but(contacts=np.zeros((0, 2)), tangential=[]))
+    rate, stress, fabric = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((2, 2))
+    for block in range(MOST_BLOCKS):
+        _must(dynamics.advance(BLOCK, dt, rate, DAMPING, material, work))
+        contacts, _ = measure(
+            work.motion, work.pairs, material.cohesion, packing.thickness, stress, fabric
+        )
+        net, force = dynamics.unbalance(work)
+        excess = stress + pressure * np.eye(2)
+        if np.abs(excess).max() < tolerance * pressure and net < tolerance * force:
+            return _packing_of(packing, work)
+        stiffness = max(contacts, 1) / packing.size * packing.contact_modulus
+        rate = -0.5 * (excess + excess.T) / (2 * stiffness * 2 * BLOCK * dt)
+        rate *= min(1.0, fastest / np.abs(rate).max())
+        if progress is not None and block % 20 == 0:
+            progress(float(pressure_of(stress)) / pressure)
+    raise RuntimeError(
+        f"preparation: reached {pressure_of(stress):.4g} Pa of {pressure:.4g} Pa, unbalance"
+        f" {net / max(force, 1e-300):.2g}, after {MOST_BLOCKS * BLOCK} steps"
+    )
+
+
+def settle(packing: Packing, pressure: float, tolerance: float = 1e-3) -> Packing:
+    """The packing under its own contact law, at rest again under that pressure."""
+    return compress(packing, pressure, tolerance)
+
+
+def _workspace_of(packing: Packing) -> dynamics.Workspace:
+    material = packing.material
+    work = dynamics.workspace(
+        packing.size, 4 * PAIRS_PER_GRAIN * packing.size, material.viscosity is not None
+    )
+    work.motion.box[:] = packing.box
+    work.motion.position[:] = packing.positions.T
+    order = np.lexsort((packing.contacts[:, 1], packing.contacts[:, 0]))
+    pairs = packing.contacts[order]
+    work.history.first[:] = np.searchsorted(pairs[:, 0], np.arange(packing.size + 1))
+    work.history.j[: len(pairs)] = pairs[:, 1]
+    work.history.tangential[: len(pairs)] = packing.tangential[order]
+    _must(dynamics.start(material, work))
+    return work
+
+
+def _packing_of(packing: Packing, work: dynamics.Workspace) -> Packing:
+    remember(work.pairs, work.history)
+    row = work.history.first.astype(np.int64)
+    contacts = np.column_stack(
+        [np.repeat(np.arange(packing.size), np.diff(row)), work.history.j[: row[-1]]]
+    )
+    positions = work.motion.position.T
+    return packing.but(
+        box=work.motion.box,
+        positions=positions - np.floor(positions),
+        contacts=contacts,
+        tangential=work.history.tangential[: row[-1]],
+    )
+
+
+def _must(status: int) -> None:
+    if status != OK:
+        raise RuntimeError("preparation: the grains have collapsed onto each other")
