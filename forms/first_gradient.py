@@ -27,10 +27,10 @@ def small(u, stress, tangent, dx, pressures: Sequence = ()) -> tuple[ufl.Form, u
 
     The pressures act on the start's geometry along its normal.
     """
-    space = u.ufl_function_space()
+    space = u.function_space
     w, du = ufl.TestFunction(space), ufl.TrialFunction(space)
     residual = ufl.inner(stress, ufl.grad(w)) * dx
-    normal = ufl.FacetNormal(u.ufl_domain())
+    normal = ufl.FacetNormal(u.function_space.mesh)
     for pressure, ds in pressures:
         residual += pressure * ufl.inner(normal, w) * ds
     jacobian = ufl.inner(_increment(tangent, du), ufl.grad(w)) * dx
@@ -42,12 +42,12 @@ def finite(u, stress, tangent, dx, pressures: Sequence = ()) -> tuple[ufl.Form, 
 
     The pressures follow the surface: n da = J F^-T N dA (Nanson).
     """
-    space = u.ufl_function_space()
+    space = u.function_space
     w, du = ufl.TestFunction(space), ufl.TrialFunction(space)
     F = deformation_gradient(u)
     cofactor = ufl.det(F) * ufl.inv(F).T
     residual = ufl.inner(stress * cofactor, ufl.grad(w)) * dx
-    normal = ufl.FacetNormal(u.ufl_domain())
+    normal = ufl.FacetNormal(u.function_space.mesh)
     for pressure, ds in pressures:
         residual += pressure * ufl.inner(cofactor * normal, w) * ds
     jacobian = ufl.derivative(residual, u, du)

@@ -125,6 +125,17 @@ def quadrature_rule(cell: str, degree: int) -> tuple[np.ndarray, np.ndarray]:
     return basix.make_quadrature(getattr(basix.CellType, cell), degree)
 
 
+def xdmf_tensors(values: np.ndarray) -> np.ndarray:
+    """Tensors (n, 2, 2) in the shape that XDMFFile writes with each component in its place.
+
+    0.5 fills them up to 3 x 3, and takes 3 x 3 in 2D for nodal values; 0.9 does not fill up.
+    """
+    if UFL_ELEMENTS or values.ndim < 3:
+        return values
+    missing = 3 - values.shape[-1]
+    return np.pad(values, [(0, 0), (0, missing), (0, missing)])
+
+
 # ---- meshes ------------------------------------------------------------------------------------
 
 

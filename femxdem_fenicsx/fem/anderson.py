@@ -42,6 +42,10 @@ class Anderson:
         history: list[tuple[PETSc.Vec, PETSc.Vec]] = []
         for iteration in range(1, snes.getTolerances()[3] + 1):
             ksp.solve(f, g)
+            if ksp.getConvergedReason() < 0:
+                ksp.reset()  # or MUMPS goes on with the failed factors
+                snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE)
+                return
             g.scale(-1.0)
             history.append((x.copy(), g.copy()))
             del history[: -self.m - 1]

@@ -71,8 +71,9 @@ class Fields:
         """
         self._file.write_function(self._displacement, time)
         for name, at_points in values.items():
-            function = self._function(name, at_points.shape[1:])
-            means = self._points.cell_means(at_points).reshape(len(self._points.cells), -1)
+            means = self._points.cell_means(_dolfinx.xdmf_tensors(at_points))
+            function = self._function(name, means.shape[1:])
+            means = means.reshape(len(means), -1)
             dofs = _dolfinx.dofmap(function.function_space)[: len(means), 0]
             function.x.array.reshape(-1, means.shape[1])[dofs] = means
             function.x.scatter_forward()

@@ -141,6 +141,7 @@ class Problem:
         self._before: _Evaluated | None = None
         self._best: _Evaluated | None = None
         self._astray = ""
+        self._failure: Exception | None = None
         self._last_step: tuple[float, np.ndarray] | None = None
         self._size = self._x.local_size
         self.snes = self._create_snes(prefix)
@@ -176,7 +177,12 @@ class Problem:
         _, self._values = _dolfinx.prescribed(self._work, self.bcs)
         self._x.array[:] = self._first_guess(step)
         self._now = self._before = self._best = None  # u = 0 was no iterate
-        self.snes.solve(None, self._x)
+        try:
+            self.snes.solve(None, self._x)
+        except Exception:
+            if self._failure is not None:  # petsc4py may have put its own error in its place
+                raise self._failure from None
+            raise
         converged = self.snes.getConvergedReason() > 0
         if converged:
             self._set_u(self._x.array_r)
@@ -247,6 +253,9 @@ class Problem:
         ksp = self.snes.getKSP()
         ksp.setOperators(self._matrix)
         ksp.solve(right, solution)
+        if ksp.getConvergedReason() < 0:
+            ksp.reset()  # or MUMPS goes on with the failed factors
+            return np.zeros(self._size)
         return solution.array_r.copy()
 
     # ---- what SNES calls ------------------------------------------------------------------------
@@ -260,11 +269,18 @@ class Problem:
             self._astray = str(error)
             f.set(np.nan)
             return
+        except Exception as error:
+            self._failure = error
+            raise
         f.array[:] = self._forces.array_r
         f.array[self._constrained] = x.array_r[self._constrained] - self._values
 
     def _assemble_jacobian(self, snes, x: PETSc.Vec, matrix: PETSc.Mat, preconditioner) -> None:
-        self.operator.evaluate_tangent()
+        try:
+            self.operator.evaluate_tangent()
+        except Exception as error:
+            self._failure = error
+            raise
         _dolfinx.assemble_matrix(preconditioner, self._jacobian, self.bcs)
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:

@@ -65,6 +65,22 @@ class Failing(LinearElastic):
         return super().evaluate(F)
 
 
+class NoStiffness(NeoHookean):
+    """A tangent of zero, as of a packing without contacts that nobody took care of."""
+
+    def tangent(self) -> np.ndarray:
+        return np.zeros((self.size, 2, 2, 2, 2))
+
+
+class NoTangent(NeoHookean):
+    """Fails when the tangent is asked for in a solve, not at F = I."""
+
+    def tangent(self) -> np.ndarray:
+        if len(self._last) and np.abs(self._last[0] - np.eye(2)).max() > 0:
+            raise ArithmeticError("no tangent here")
+        return super().tangent()
+
+
 class Fragile(NeoHookean):
     """Follows increments of at most `limit`."""
 

@@ -1,7 +1,8 @@
-"""A run for test_parallel.py: ``python -m tests.fem.parallel_run numbers|raise|astray``."""
+"""A run for test_parallel.py: ``python -m tests.fem.parallel_run numbers|raise FOLDER|astray``."""
 
 import json
 import sys
+from pathlib import Path
 
 import numpy as np
 from mpi4py import MPI
@@ -68,7 +69,10 @@ if __name__ == "__main__":
         try:
             fail(RuntimeError("the packing exploded"))
         except RuntimeError as error:
-            sys.exit(f"rank {COMM.rank} ends: {error}")
+            # into a file: mpirun ends all ranks, and drops their last words, when the first exits
+            Path(sys.argv[2], f"rank{COMM.rank}").write_text(str(error))
+            COMM.barrier()
+            sys.exit(1)
     result = numbers() if task == "numbers" else astray()
     if COMM.rank == 0:
         print(json.dumps(result))

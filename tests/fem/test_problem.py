@@ -7,7 +7,7 @@ from petsc4py import PETSc
 from femxdem_fenicsx.fem.options import petsc_options as pass_on
 from femxdem_fenicsx.fem.problem import Convergence
 from femxdem_fenicsx.law import InadmissibleDeformation, LinearElastic, NeoHookean
-from tests.fem.laws import Counting, Failing, Fragile, Noisy, TooStiff
+from tests.fem.laws import Counting, Failing, Fragile, Noisy, NoStiffness, NoTangent, TooStiff
 from tests.fem.specimen import Specimen
 
 
@@ -113,6 +113,34 @@ def test_an_iterate_that_goes_astray_later_is_a_failed_solve_too(scheme, petsc_o
     solution = specimen.problem.solve()
     assert not solution.converged and solution.reason == "lost" and solution.evaluations == 3
     assert 0 < solution.residual < 1
+
+
+@pytest.mark.parametrize("after", [0, 1, 2])
+@pytest.mark.parametrize("scheme", ["python", "newtonls"])
+def test_any_other_error_of_the_law_ends_the_solve_as_it_is(scheme, after, petsc_options):
+    petsc_options(f"-femxdem_snes_type {scheme}")
+    error = ZeroDivisionError("no grains")
+    specimen = Specimen(lambda points: Failing(points.size, error, after=after), rough=True)
+    specimen.compress(0.0, 0.1)
+    with pytest.raises(ZeroDivisionError, match="no grains"):
+        specimen.problem.solve()
+
+
+def test_an_error_of_the_tangent_ends_the_solve_as_it_is():
+    specimen = Specimen(lambda points: NoTangent(points.size, 100.0, 0.3), rough=True)
+    specimen.compress(0.0, 0.1)
+    with pytest.raises(ArithmeticError, match="no tangent here"):
+        specimen.problem.solve()
+
+
+def test_a_singular_tangent_is_a_failed_solve():
+    specimen = Specimen(lambda points: NoStiffness(points.size, 100.0, 0.3), formulation="small")
+    specimen.compress(0.0, 0.01)
+    for _ in range(2):
+        solution = specimen.problem.solve()
+        assert not solution.converged
+        assert solution.reason == "DIVERGED_LINEAR_SOLVE"
+        specimen.problem.reject()
 
 
 def test_what_the_law_cannot_follow_is_the_reason_of_a_failed_solve():
