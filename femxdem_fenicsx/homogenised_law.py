@@ -1,6 +1,7 @@
 """The FEM x DEM law: packings behind the Law protocol (Desrues section 2.4.2)."""
 
 from dataclasses import dataclass
+from time import perf_counter
 
 import h5py
 import numpy as np
@@ -11,6 +12,7 @@ from .dem.loading import Outcome
 from .dem.packing import Packing, PackingBatch
 from .dem.response import Response
 from .dem.tangents import operator
+from .law import InadmissibleDeformation
 
 #: A packing with fewer contacts per grain than this carries no load: it has failed.
 FAILED_CONTACTS_PER_GRAIN = 0.5
@@ -22,14 +24,34 @@ FAILED_STIFFNESS = 1e-2
 class Tally:
     """What the packings have done so far, summed over all evaluations of this rank.
 
-    evaluations of the batch; steps of the DEM; unfinished: evaluations of a packing that ended at
-    the hold limit; worst_unbalance: the largest left by any of them (Desrues eq. 19).
+    evaluations: of the batch. packings: evaluations of a packing. steps: of the DEM. unfinished:
+    evaluations of a packing that ended at the hold limit. worst_unbalance: the largest left by any
+    of them (Desrues eq. 19). worst_overlap: the largest of a contact over its grains' mean
+    diameter. seconds: spent in evaluations. tangent_seconds: in tangents.
     """
 
     evaluations: int = 0
+    packings: int = 0
     steps: int = 0
     unfinished: int = 0
     worst_unbalance: float = 0.0
+    worst_overlap: float = 0.0
+    seconds: float = 0.0
+    tangent_seconds: float = 0.0
+
+    def clear(self) -> None:
+        """Start counting anew."""
+        self.__init__()
+
+    def add(self, outcome: Outcome, seconds: float) -> None:
+        """Count one evaluation of the batch."""
+        self.evaluations += 1
+        self.packings += len(outcome.stress)
+        self.steps += int((outcome.loading_steps + outcome.hold_steps).sum())
+        self.unfinished += int((~outcome.at_rest).sum())
+        self.worst_unbalance = max(self.worst_unbalance, float(outcome.unbalance.max(initial=0)))
+        self.worst_overlap = max(self.worst_overlap, float(outcome.overlap.max(initial=0)))
+        self.seconds += seconds
 
 
 class HomogenisedLaw:
@@ -64,24 +86,17 @@ class HomogenisedLaw:
     def evaluate(self, F: np.ndarray) -> np.ndarray:
         """Stress (n, 2, 2), Pa, at F (n, 2, 2) relative to the committed state.
 
-        Raises ValueError for an F that is no deformation, FloatingPointError for a packing that
-        has collapsed.
+        Raises InadmissibleDeformation for an F that is no deformation or lets a packing collapse.
         """
         if np.shape(F) != (self.size, 2, 2):
             raise ValueError(f"F has shape {np.shape(F)}, expected {(self.size, 2, 2)}")
-        outcome = self.response.deform(F)
-        if not np.isfinite(outcome.stress).all():
-            bad = int(np.flatnonzero(~np.isfinite(outcome.stress).all((1, 2)))[0])
-            raise FloatingPointError(
-                f"packing {bad}: its stress is not finite; use a smaller time step"
-            )
+        started = perf_counter()
+        try:
+            outcome = self.response.deform(F)
+        except (ValueError, FloatingPointError) as error:
+            raise InadmissibleDeformation(str(error)) from None
         self._F = np.array(F)
-        self.tally.evaluations += 1
-        self.tally.steps += int((outcome.loading_steps + outcome.hold_steps).sum())
-        self.tally.unfinished += int((~outcome.at_rest).sum())
-        self.tally.worst_unbalance = max(
-            self.tally.worst_unbalance, float(outcome.unbalance.max(initial=0.0))
-        )
+        self.tally.add(outcome, perf_counter() - started)
         return outcome.stress.copy()
 
     def tangent(self) -> np.ndarray:
@@ -89,6 +104,7 @@ class HomogenisedLaw:
 
         A failed packing gets a small isotropic stiffness, so that the global matrix is regular.
         """
+        started = perf_counter()
         C = self._operator(self.response, self._F)
         if self._initial_stiffness == 0.0:
             self._initial_stiffness = float(np.abs(C).max(initial=0.0))
@@ -96,6 +112,7 @@ class HomogenisedLaw:
         C[self._failed(self.response.outcome)] += (
             FAILED_STIFFNESS * self._initial_stiffness * identity
         )
+        self.tally.tangent_seconds += perf_counter() - started
         return np.einsum("nijkl,nml->nijkm", C, np.linalg.inv(self._F))
 
     def commit(self) -> None:

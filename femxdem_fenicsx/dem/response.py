@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 
 import numpy as np
 
@@ -62,7 +62,8 @@ class Response:
     def deform(self, F: np.ndarray) -> Outcome:
         """Trial state at F (B, 2, 2) relative to the committed state; what was measured there.
 
-        Raises ValueError for an F that is not a deformation (see `loading.logarithm`).
+        Raises ValueError for an F that is not a deformation (see `loading.logarithm`) and
+        FloatingPointError for a packing that collapses.
         """
         self.outcome = self._run(F, np.arange(self.size), self.trial.state)
         self.latest = self.trial
@@ -104,6 +105,11 @@ class Response:
 
         expensive_first = np.argsort(-self._cost[packings], kind="stable")
         self.for_each(one, expensive_first)
+        wrong = np.flatnonzero(~np.isfinite(outcome.stress).all((1, 2)))
+        if len(wrong):
+            raise FloatingPointError(
+                f"packing {packings[wrong[0]]}: its stress is not finite; take smaller steps"
+            )
         return outcome
 
     def for_each(self, task: Callable[[int], None], order: np.ndarray) -> None:
@@ -112,8 +118,10 @@ class Response:
             for k in order:
                 task(int(k))
             return
-        for _ in self._pool.map(task, [int(k) for k in order]):
-            pass
+        running = [self._pool.submit(task, int(k)) for k in order]
+        wait(running)  # all of them, also after an error: they write to shared arrays
+        for future in running:
+            future.result()
 
     def with_workspace(self, compute: Callable[[Workspace], int], name: str) -> None:
         """Call compute(work) with a work space that no other thread uses, a larger one if need be.

@@ -57,3 +57,22 @@ class QuadraturePoints:
         weights = weights / weights.sum(axis=1, keepdims=True)
         by_cell = values.reshape(*weights.shape, *values.shape[1:])
         return np.einsum("cq,cq...->c...", weights, by_cell)
+
+    def cell_corners(self) -> np.ndarray:
+        """Corners of each owned cell in the present geometry, in order around it, (c, k, gdim)."""
+        corners = [0, 1, 3, 2] if self.element.cell == "quadrilateral" else [0, 1, 2]
+        nodes = _dolfinx.geometry_dofmap(self.mesh)[: len(self.cells)][:, corners]
+        return self.mesh.geometry.x[nodes][..., : self.mesh.geometry.dim]
+
+    def gather(self, *by_cell: np.ndarray) -> tuple[np.ndarray, ...] | None:
+        """Arrays (c, ...) of owned cells, put together for the whole mesh on rank 0; else None.
+
+        In the cells' original order, which is the same for every number of ranks.
+        """
+        original = np.asarray(self.mesh.topology.original_cell_index)[self.cells]
+        parts = self.mesh.comm.gather((original, by_cell))
+        if parts is None:
+            return None
+        order = np.argsort(np.concatenate([numbers for numbers, _ in parts]))
+        columns = zip(*(arrays for _, arrays in parts), strict=True)
+        return tuple(np.concatenate(column)[order] for column in columns)

@@ -1,0 +1,117 @@
+"""What every demo needs around its scene: arguments, threads, one-line errors, progress, a table."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stderr, redirect_stdout
+
+from mpi4py import MPI
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from .fem.options import petsc_options
+
+USER_ERRORS = (ValueError, OSError)
+USER_ERROR, LOST_CONTROLLABILITY = 2, 3
+
+
+def run(main: Callable[[MPI.Comm], int], comm: MPI.Comm = MPI.COMM_WORLD) -> None:
+    """Exit with what main(comm) returns; a user's mistake is one line and exit code 2.
+
+    Errors must reach all ranks (see `fem.collective.together`); rank 0 alone prints.
+    """
+    try:
+        code = main(comm)
+    except USER_ERRORS as error:
+        code = _fail(comm, error)
+    except RuntimeError as error:  # raised by `together` where another rank made the mistake
+        if "on rank" not in str(error):
+            raise
+        code = _fail(comm, error)
+    sys.stdout.flush()
+    sys.exit(code)
+
+
+def _fail(comm: MPI.Comm, error: Exception) -> int:
+    if comm.rank == 0:
+        print(f"error: {error}", file=sys.stderr, flush=True)
+    return USER_ERROR
+
+
+def parse(parser: argparse.ArgumentParser, comm: MPI.Comm, arguments: Sequence[str] | None = None):
+    """Parsed arguments; what argparse does not know goes to PETSc. Rank 0 alone prints.
+
+    Raises ValueError for an argument that PETSc cannot take either.
+    """
+    with open(os.devnull, "w") as nowhere:
+        silent = nowhere if comm.rank > 0 else None
+        with redirect_stdout(silent or sys.stdout), redirect_stderr(silent or sys.stderr):
+            known, rest = parser.parse_known_args(arguments)
+    petsc_options(rest)
+    return known
+
+
+def threads_per_rank(comm: MPI.Comm) -> int:
+    """Cores that this rank may use for its packings.
+
+    Those that it is bound to, or its share of the machine's where mpirun binds nothing.
+    """
+    allowed = len(os.sched_getaffinity(0))
+    on_this_machine = comm.Split_type(MPI.COMM_TYPE_SHARED).size
+    bound = allowed < (os.cpu_count() or 1)
+    return allowed if bound else max(allowed // on_this_machine, 1)
+
+
+class LoadProgress:
+    """A progress bar over a load path; lines instead, one per tenth, where nobody watches."""
+
+    def __init__(self, comm: MPI.Comm, end: float, quiet: bool = False):
+        """For a load that ends at `end`; only rank 0 shows anything."""
+        self._end, self._shown = end, 0.0
+        self._started = time.perf_counter()
+        self._console = Console(quiet=quiet or comm.rank > 0, highlight=False)
+        self._bar = Progress(
+            TextColumn("strain {task.percentage:>3.0f}%"),
+            BarColumn(bar_width=24),
+            TextColumn("{task.description}"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=self._console,
+            disable=not self._console.is_terminal or self._console.quiet,
+        )
+
+    def __enter__(self) -> LoadProgress:
+        self._bar.start()
+        self._task = self._bar.add_task("starting: compiling", total=self._end)
+        return self
+
+    def __exit__(self, *error) -> None:
+        self._bar.stop()
+
+    def show(self, load: float, description: str) -> None:
+        """The load reached, and what to say about it."""
+        self._bar.update(self._task, completed=load, description=description)
+        due = load - self._shown >= 0.1 * self._end or load >= self._end
+        if self._bar.disable and due:
+            self._shown = load
+            seconds = time.perf_counter() - self._started
+            left = seconds * (self._end - load) / load
+            self._console.print(f"{description}  {seconds:.0f} s, {left:.0f} s left")
+
+    def say(self, line: str) -> None:
+        """A line above the bar."""
+        self._console.print(line)
+
+
+def print_table(comm: MPI.Comm, title: str, rows: Mapping[str, str], quiet: bool = False) -> None:
+    """A two-column table on rank 0."""
+    table = Table(title=title, show_header=False, title_justify="left")
+    for name, value in rows.items():
+        table.add_row(name, value)
+    Console(quiet=quiet or comm.rank > 0, highlight=False).print(table)
