@@ -97,7 +97,7 @@ def compress(
     Raises RuntimeError where the target is not reached.
     """
     material = packing.material
-    work = _workspace_of(packing)
+    work = workspace_of(packing)
     speed = np.sqrt(pressure / packing.density)
     if rng is not None:
         work.motion.velocity[:] = 0.3 * speed * rng.normal(size=work.motion.velocity.shape)
@@ -112,7 +112,7 @@ def compress(
         net, force = dynamics.unbalance(work)
         excess = stress + pressure * np.eye(2)
         if np.abs(excess).max() < tolerance * pressure and net < tolerance * force:
-            return _packing_of(packing, work)
+            return packing_of(packing, work)
         stiffness = max(contacts, 1) / packing.size * packing.contact_modulus
         rate = -0.5 * (excess + excess.T) / (2 * stiffness * 2 * BLOCK * dt)
         rate *= min(1.0, fastest / np.abs(rate).max())
@@ -129,7 +129,8 @@ def settle(packing: Packing, pressure: float, tolerance: float = 1e-3) -> Packin
     return compress(packing, pressure, tolerance)
 
 
-def _workspace_of(packing: Packing) -> dynamics.Workspace:
+def workspace_of(packing: Packing) -> dynamics.Workspace:
+    """A work space with this packing, its contacts and its pair list."""
     material = packing.material
     work = dynamics.workspace(
         packing.size, 4 * PAIRS_PER_GRAIN * packing.size, material.viscosity is not None
@@ -145,7 +146,8 @@ def _workspace_of(packing: Packing) -> dynamics.Workspace:
     return work
 
 
-def _packing_of(packing: Packing, work: dynamics.Workspace) -> Packing:
+def packing_of(packing: Packing, work: dynamics.Workspace) -> Packing:
+    """The packing as it now is in the work space; the other way round."""
     remember(work.pairs, work.history)
     row = work.history.first.astype(np.int64)
     contacts = np.column_stack(

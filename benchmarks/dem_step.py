@@ -1,0 +1,79 @@
+"""Time of one DEM step of one packing on one core, in the deviatoric regime, where contacts slide.
+
+Prints one JSON object as its last line.
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from time import perf_counter, process_time
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from femxdem_fenicsx.dem import dynamics  # noqa: E402
+from femxdem_fenicsx.dem.accuracy import PRESETS  # noqa: E402
+from femxdem_fenicsx.dem.contacts import LinearContact  # noqa: E402
+from femxdem_fenicsx.dem.files import load_packing  # noqa: E402
+from femxdem_fenicsx.dem.homogenisation import measure  # noqa: E402
+from femxdem_fenicsx.dem.loading import settings  # noqa: E402
+from femxdem_fenicsx.dem.packing import Packing  # noqa: E402
+from femxdem_fenicsx.dem.preparation import workspace_of  # noqa: E402
+
+#: Velocity gradient of the loading, 1/s: about I = 1e-3 at 100 kPa.
+GRADIENT = np.array([[0.4, 0.0], [0.0, -0.5]])
+
+
+def sheared(packing: Packing) -> tuple[dynamics.Workspace, float]:
+    """A work space with the packing at 1 % axial strain, and its time step."""
+    work = workspace_of(packing)
+    dt = settings(packing, PRESETS["balanced"], 1e5).time_step
+    dynamics.advance(round(0.01 / 0.5 / dt), dt, GRADIENT, 0.3, packing.material, work)
+    return work, dt
+
+
+def row(case: str, packing: Packing, repeats: int, steps: int) -> dict:
+    """The fastest of some repetitions, in CPU time."""
+    work, dt = sheared(packing)
+    fastest = np.inf
+    for _ in range(repeats):
+        started = process_time()
+        dynamics.advance(steps, dt, 0.1 * GRADIENT, 0.3, packing.material, work)
+        fastest = min(fastest, process_time() - started)
+    stress, fabric = np.zeros((2, 2)), np.zeros((2, 2))
+    contacts, _ = measure(
+        work.motion, work.pairs, packing.material.cohesion, packing.thickness, stress, fabric
+    )
+    return {
+        "case": case,
+        "us_per_step": 1e6 * fastest / steps,
+        "grain_steps_per_second": packing.size * steps / fastest,
+        "contacts": contacts,
+        "pairs": int(work.pairs.first[-1]),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true")
+    args = parser.parse_args()
+    repeats, steps = (5, 500) if args.quick else (20, 2000)
+    disks = load_packing(ROOT / "tests" / "data" / "yade" / "packing.h5")
+    started = perf_counter()
+    sheared(disks)
+    first = perf_counter() - started
+    smooth = disks.but(law=LinearContact(modulus=6e8, friction=0.0))
+    rows = [
+        row("disks-400", disks, repeats, steps),
+        row("disks-400-frictionless", smooth, repeats, steps),
+    ]
+    for line in rows:
+        print(f"{line['case']:24s} {line['us_per_step']:6.2f} us per step")
+    print(json.dumps({"rows": rows, "first_start_s": first}))
+
+
+if __name__ == "__main__":
+    main()
