@@ -161,7 +161,9 @@ def number_of_cells(mesh) -> tuple[int, int]:
 
 def geometry_dofmap(mesh) -> np.ndarray:
     """Rows of ``mesh.geometry.x`` at the nodes of each cell, ghosts included, (c, k)."""
-    return _rows(mesh.geometry.dofmap, number_of_cells(mesh)[1])
+    geometry = mesh.geometry
+    nodes = geometry.dofmaps[0] if VERSION >= (0, 11) else geometry.dofmap
+    return _rows(nodes, number_of_cells(mesh)[1])
 
 
 def dofmap(space) -> np.ndarray:

@@ -82,6 +82,6 @@ class Anderson:
         if np.isfinite(norm):
             reason = snes.callConvergenceTest(iteration, x.norm(), step, norm)
         else:
-            reason = reasons.DIVERGED_FNORM_NAN
+            reason = reasons.DIVERGED_FUNCTION_DOMAIN
         snes.setConvergedReason(reason)
         return reason != reasons.ITERATING

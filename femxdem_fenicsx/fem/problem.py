@@ -286,7 +286,7 @@ class Problem:
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         reason = PETSc.SNES.ConvergedReason
         if not np.isfinite(norms[2]) or self._now is None:
-            return reason.DIVERGED_FNORM_NAN
+            return reason.DIVERGED_FUNCTION_DOMAIN
         if self.convergence.holds(self._now.ratio, self._correction()):
             return reason.CONVERGED_FNORM_RELATIVE
         if norms[2] < snes.getTolerances()[1]:
