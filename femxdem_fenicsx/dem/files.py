@@ -39,8 +39,10 @@ def save_packing(path: str | Path, packing: Packing) -> None:
                 law.attrs[name] = np.nan if value is None else value
         aside.replace(path)
     except OSError as error:
-        aside.unlink(missing_ok=True)
         raise OSError(f"{path}: cannot write the packing: {error.strerror or error}") from None
+    finally:
+        if aside.exists():
+            aside.unlink()
 
 
 def load_packing(path: str | Path, dim: int = 2) -> Packing:
@@ -58,7 +60,7 @@ def load_packing(path: str | Path, dim: int = 2) -> Packing:
             arrays = {name: file[name][()] for name in ARRAYS}
             law = {name: float(file["law"].attrs[name]) for name in LAW}
             density, thickness = float(file.attrs["density"]), float(file.attrs["thickness"])
-    except (OSError, KeyError, RuntimeError) as error:
+    except (OSError, KeyError, RuntimeError, TypeError) as error:
         reason = str(error).strip("'\"").splitlines()[0]
         raise ValueError(f"{path}: the packing file is truncated or damaged ({reason})") from None
     try:
@@ -78,3 +80,5 @@ def _check_header(path: Path, file: h5py.File, dim: int) -> None:
         )
     if file.attrs.get("dim") != dim:
         raise ValueError(f"{path}: a packing of {file.attrs.get('dim')} dimensions, need {dim}")
+    if file["law"].attrs["kind"] != LinearContact.__name__:
+        raise ValueError(f"{path}: unknown contact law {file['law'].attrs['kind']}")
