@@ -82,24 +82,31 @@ def logarithm(F: np.ndarray) -> np.ndarray:
     """
     F = np.asarray(F, dtype=np.float64)
     identity = np.eye(F.shape[-1])
-    determinant = np.linalg.det(F) if np.isfinite(F).all() else np.full(F.shape[:-2], np.nan)
-    if not (determinant > 0).all():
-        bad = int(np.flatnonzero(~(np.atleast_1d(determinant) > 0))[0])
+    finite = np.isfinite(F).all((-2, -1))
+    determinant = np.linalg.det(np.where(finite[..., None, None], F, identity))
+    good = finite & (determinant > 0)
+    if not good.all():
         raise ValueError(
-            f"deformation gradient {bad} is not finite or has a determinant that is not positive:"
-            " the load step is too large or the mesh is turned inside out"
+            f"deformation gradient {int(np.flatnonzero(~good)[0])} is not finite or has a"
+            " determinant that is not positive: the load step is too large or the mesh is turned"
+            " inside out"
         )
+    half_turn = ValueError("a deformation gradient turns by about 180 degrees in one increment")
     root, halvings = F, 0
     while np.abs(root - identity).max(initial=0.0) > 0.1:
         root, halvings = _square_root(root), halvings + 1
         if halvings > 12 or not np.isfinite(root).all():
-            raise ValueError("a deformation gradient turns by about 180 degrees in one increment")
+            raise half_turn
     z = np.linalg.solve(root + identity, root - identity)
     square, term, total = z @ z, z, z
     for k in range(3, 21, 2):
         term = term @ square
         total = total + term / k
-    return 2.0 ** (halvings + 1) * total
+    result = 2.0 ** (halvings + 1) * total
+    dilation = np.trace(result, axis1=-2, axis2=-1) - np.log(determinant)
+    if np.abs(dilation).max(initial=0.0) > 1e-9:  # the roots did not converge
+        raise half_turn
+    return result
 
 
 def _square_root(F: np.ndarray) -> np.ndarray:

@@ -30,7 +30,7 @@ def test_settings_that_cannot_work_are_refused_by_name(values, complaint):
 
 
 def test_an_unknown_preset_is_answered_with_the_known_ones():
-    with pytest.raises(ValueError, match="'exact'.*fast, balanced, reference"):
+    with pytest.raises(ValueError, match=r"'exact'.*fast, balanced, reference"):
         preset("exact")
     assert preset("balanced") is PRESETS["balanced"]
 
