@@ -92,10 +92,13 @@ def logarithm(F: np.ndarray) -> np.ndarray:
             " inside out"
         )
     half_turn = ValueError("a deformation gradient turns by about 180 degrees in one increment")
-    root, halvings = F, 0
-    while np.abs(root - identity).max(initial=0.0) > 0.1:
-        root, halvings = _square_root(root), halvings + 1
-        if halvings > 12 or not np.isfinite(root).all():
+    root, halvings = F.copy(), np.zeros((*F.shape[:-2], 1, 1))
+    while (far := np.abs(root - identity).max((-2, -1)) > 0.1).any():  # each F by itself, so that
+        root[far], halvings[far] = (
+            _square_root(root[far]),
+            halvings[far] + 1,
+        )  # others change no bit
+        if halvings.max() > 12 or not np.isfinite(root).all():
             raise half_turn
     z = np.linalg.solve(root + identity, root - identity)
     square, term, total = z @ z, z, z

@@ -66,6 +66,14 @@ def test_the_logarithm_is_the_inverse_of_the_exponential_for_many_at_once(values
     np.testing.assert_allclose(logarithm(F), L, atol=1e-11)
 
 
+def test_the_logarithm_of_one_does_not_depend_on_the_others():
+    F = np.array([rotation(0.02) @ SHORTER, rotation(2.0), 3.0 * np.eye(2)])
+    together = logarithm(F)
+    for one, expected in zip(F, together, strict=True):
+        np.testing.assert_array_equal(logarithm(one), expected)
+    assert logarithm(np.zeros((0, 2, 2))).shape == (0, 2, 2)
+
+
 @pytest.mark.parametrize(
     "bad",
     [np.diag([1.0, -1.0]), np.diag([1.0, 0.0]), np.full((2, 2), np.nan), np.diag([np.inf, 1])],
