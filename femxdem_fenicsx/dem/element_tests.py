@@ -72,10 +72,13 @@ def increment(
             )
         best = min(error, best if best is not None else error)
         before = F[controlled], residual
-        F[controlled] -= np.linalg.solve(jacobian, residual)
+        try:
+            F[controlled] -= np.linalg.solve(jacobian, residual)
+        except np.linalg.LinAlgError:  # the stress does not answer
+            break
     law.discard()
     raise RuntimeError(
-        f"element test: stress off by {best:.3g} Pa after {most} evaluations, tolerance"
+        f"element test: stress off by {best:.3g} Pa after {evaluation} evaluations, tolerance"
         f" {tolerance:.3g} Pa"
     )
 

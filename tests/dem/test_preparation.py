@@ -1,0 +1,102 @@
+"""Random packings brought to a pressure."""
+
+import numpy as np
+import pytest
+
+from femxdem_fenicsx.dem import preparation
+from femxdem_fenicsx.dem.contacts import LinearContact
+from femxdem_fenicsx.dem.homogenisation import coordination_number, stress, touching
+from femxdem_fenicsx.dem.preparation import random_packing
+
+PRESSURE = 1e5
+
+
+@pytest.fixture(scope="module")
+def dense():
+    return random_packing()
+
+
+def unbalance(packing) -> float:
+    contacts = touching(packing)
+    net = np.zeros((packing.size, 2))
+    np.add.at(net, contacts.pairs[:, 0], contacts.forces)
+    np.subtract.at(net, contacts.pairs[:, 1], contacts.forces)
+    return np.linalg.norm(net, axis=1).max() / np.linalg.norm(contacts.forces, axis=1).max()
+
+
+def test_400_disks_at_100_kpa_are_as_dense_as_in_the_papers(dense):
+    assert dense.size == 400
+    assert dense.radii.min() >= 3e-3 and dense.radii.max() <= 7e-3
+    np.testing.assert_allclose(stress(dense), -PRESSURE * np.eye(2), atol=1e-3 * PRESSURE)
+    assert unbalance(dense) < 2e-3
+    assert 0.165 < dense.void_ratio < 0.185  # Guo-Zhao: 0.177
+    assert 4.05 < coordination_number(dense) < 4.3
+    assert dense.law.friction == pytest.approx(np.tan(0.5))  # although compressed without
+    assert ((dense.positions >= 0) & (dense.positions < 1)).all()
+
+
+def test_friction_during_the_compression_makes_it_looser(dense):
+    voids = [dense.void_ratio]
+    for friction in (0.1, 0.3):
+        packing = random_packing(compaction_friction=friction)
+        np.testing.assert_allclose(stress(packing), -PRESSURE * np.eye(2), atol=1e-3 * PRESSURE)
+        voids.append(packing.void_ratio)
+        assert packing.law == dense.law
+    assert voids[0] + 0.01 < voids[1] < voids[2] - 0.005
+    assert voids[2] < 0.30
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_seed_another_packing():
+    first, again, other = (random_packing(64, seed=seed) for seed in (7, 7, 8))
+    for name in ("box", "positions", "radii", "contacts", "tangential"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
+    assert not np.array_equal(first.radii, other.radii)
+    assert not np.array_equal(first.positions, other.positions)
+
+
+def test_a_bumpy_request_is_met_too():
+    law = LinearContact(stiffness=3e6, friction=0.3, cohesion=5.0, viscous_damping=0.1)
+    packing = random_packing(
+        100, (2e-3, 2e-3), law, pressure=3e4, compaction_friction=0.2, density=2000, thickness=1.0
+    )
+    np.testing.assert_allclose(stress(packing), -3e4 * np.eye(2), atol=3e1)
+    assert (packing.radii == 2e-3).all()
+    assert packing.law == law
+    assert (packing.density, packing.thickness) == (2000, 1.0)
+
+
+def test_progress_is_told_on_the_way_to_the_pressure():
+    told = []
+    random_packing(36, progress=told.append)
+    assert told[0] < 0.5
+    assert told[-1] == pytest.approx(1, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("values", "complaint"),
+    [
+        ({"grains": 0}, "1 grain or more"),
+        ({"grains": -5}, "1 grain or more"),
+        ({"grains": 1}, "use more grains"),
+        ({"radii": (7e-3, 3e-3)}, "radii"),
+        ({"radii": (0.0, 3e-3)}, "radii"),
+        ({"radii": (-1e-3, 3e-3)}, "radii"),
+        ({"radii": (float("nan"), 3e-3)}, "radii"),
+        ({"pressure": -1e5}, "pressure"),
+        ({"pressure": 0.0}, "pressure"),
+        ({"pressure": float("nan")}, "pressure"),
+        ({"compaction_friction": -0.1}, "friction"),
+        ({"density": -1.0}, "density"),
+        ({"seed": -1}, ""),
+    ],
+)
+def test_what_makes_no_packing_is_refused_with_the_reason(values, complaint):
+    with pytest.raises(ValueError, match=complaint) as error:
+        random_packing(**values)
+    assert "\n" not in str(error.value)
+
+
+def test_a_pressure_that_is_not_reached_is_an_error_that_says_how_far_it_came(monkeypatch):
+    monkeypatch.setattr(preparation, "MOST_BLOCKS", 3)
+    with pytest.raises(RuntimeError, match=r"of 1e\+05 Pa.*after 75 steps"):
+        random_packing(36)
