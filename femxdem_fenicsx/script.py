@@ -1,4 +1,4 @@
-"""What every demo needs around its scene: arguments, threads, one-line errors, progress, a table."""
+"""What a demo needs around its scene: arguments, threads, one-line errors, progress, a table."""
 
 from __future__ import annotations
 

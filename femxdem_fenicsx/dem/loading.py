@@ -69,7 +69,7 @@ def settings(packing: Packing, accuracy: Accuracy, pressure: float) -> Loading:
         packing.mean_diameter,
         packing.density,
         packing.thickness,
-        0.02 * pressure,
+        0.1 * pressure,
     )
 
 

@@ -10,8 +10,6 @@ from . import _dolfinx
 from .collective import together
 from .quadrature_points import QuadraturePoints
 
-LARGEST_INCREMENT = 0.5
-
 
 class ExternalOperator:
     """The stress as a function of u, computed by a law: evaluate it, then assemble.
@@ -27,13 +25,18 @@ class ExternalOperator:
         deformation_gradient: UFL expression (d, d) of the step's displacement.
         law: a law with as many points as `points` has on this rank.
         points: where to evaluate.
+        largest_increment: of a component of F - I in one step; an iterate beyond it went astray,
+            and a law of grains would be long in following it.
 
     Raises:
         ValueError: the law has another dimension or number of points.
     """
 
-    def __init__(self, deformation_gradient, law: Law, points: QuadraturePoints):
+    def __init__(
+        self, deformation_gradient, law: Law, points: QuadraturePoints, largest_increment=0.5
+    ):
         self.law, self.points = law, points
+        self._largest = largest_increment
         mesh = points.mesh
         d = mesh.geometry.dim
         together(mesh.comm, self._check_law, d)
@@ -63,7 +66,7 @@ class ExternalOperator:
 
         Raises:
             InadmissibleDeformation: on all ranks, where F somewhere is not finite, turns a point
-                inside out or is further than 0.5 from I, or where the law says so.
+                inside out or is too far from I, or where the law says so.
             Exception: what else the law raises, on all ranks.
         """
         comm = self.points.mesh.comm
@@ -74,7 +77,7 @@ class ExternalOperator:
     def _evaluate(self, F: np.ndarray) -> np.ndarray:
         far = np.abs(F - np.eye(F.shape[1])).max(axis=(1, 2), initial=0.0)
         with np.errstate(invalid="ignore"):
-            wrong = np.flatnonzero(~((far <= LARGEST_INCREMENT) & (np.linalg.det(F) > 0)))
+            wrong = np.flatnonzero(~((far <= self._largest) & (np.linalg.det(F) > 0)))
         if len(wrong):
             raise InadmissibleDeformation(
                 f"deformation gradient {F[wrong[0]].tolist()} of one step at quadrature point "
