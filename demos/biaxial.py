@@ -271,7 +271,7 @@ def load(specimen: Specimen, args: argparse.Namespace) -> Run:
             fields.write(record.load, fields_of(specimen.law))
             progress.show(
                 record.load,
-                f"axial strain {record.load:.2%}  stress ratio {rows[-1]['stress_ratio']:.3f}"
+                f"strain {record.load:.2%}  stress ratio {rows[-1]['stress_ratio']:.3f}"
                 f"  iterations {record.iterations}",
             )
             observing += perf_counter() - started

@@ -18,6 +18,10 @@ from .law import InadmissibleDeformation
 FAILED_CONTACTS_PER_GRAIN = 0.5
 #: Stiffness that a failed packing lends the global matrix, as a share of the initial one.
 FAILED_STIFFNESS = 1e-2
+#: Strains are rounded to multiples of this before the grains see them. It is far below what they
+#: can resolve, and far above the rounding of the linear solver, which would otherwise be amplified
+#: by the grains until 1 and 2 ranks part (docs/accuracy.md).
+STRAIN_QUANTUM = 2.0**-30
 
 
 @dataclass
@@ -86,16 +90,19 @@ class HomogenisedLaw:
     def evaluate(self, F: np.ndarray) -> np.ndarray:
         """Stress (n, 2, 2), Pa, at F (n, 2, 2) relative to the committed state.
 
+        F - I is rounded to multiples of `STRAIN_QUANTUM`.
+
         Raises InadmissibleDeformation for an F that is no deformation or lets a packing collapse.
         """
         if np.shape(F) != (self.size, 2, 2):
             raise ValueError(f"F has shape {np.shape(F)}, expected {(self.size, 2, 2)}")
         started = perf_counter()
+        F = np.eye(2) + np.round((F - np.eye(2)) / STRAIN_QUANTUM) * STRAIN_QUANTUM
         try:
             outcome = self.response.deform(F)
         except (ValueError, FloatingPointError) as error:
             raise InadmissibleDeformation(str(error)) from None
-        self._F = np.array(F)
+        self._F = F
         self.tally.add(outcome, perf_counter() - started)
         return outcome.stress.copy()
 

@@ -11,7 +11,7 @@ from contextlib import redirect_stderr, redirect_stdout
 
 from mpi4py import MPI
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from .fem.options import petsc_options
@@ -76,12 +76,10 @@ class LoadProgress:
         self._started = time.perf_counter()
         self._console = Console(quiet=quiet or comm.rank > 0, highlight=False)
         self._bar = Progress(
-            TextColumn("strain {task.percentage:>3.0f}%"),
-            BarColumn(bar_width=24),
+            BarColumn(bar_width=14),
             TextColumn("{task.description}"),
-            TimeElapsedColumn(),
-            TextColumn("left"),
             TimeRemainingColumn(),
+            TextColumn("left"),
             console=self._console,
             disable=not self._console.is_terminal or self._console.quiet,
         )
