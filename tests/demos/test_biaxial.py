@@ -1,0 +1,258 @@
+"""The drained biaxial demo as a user runs it: results, files, bad input, ranks."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from xml.etree import ElementTree
+
+import h5py
+import numpy as np
+import pytest
+
+from femxdem_fenicsx.dem.accuracy import PRESETS
+from femxdem_fenicsx.dem.element_tests import drained_biaxial
+from femxdem_fenicsx.dem.files import load_packing
+from femxdem_fenicsx.homogenised_law import HomogenisedLaw
+from tests.mpi import ROOT, run_on_ranks
+from tests.reference import DATA, reference_packing
+
+PACKING = ("--packing", str(DATA / "packing.h5"))
+PICTURES = ("history.png", "fields.png", "force_chains.png")
+FIELDS = {
+    "stress": 9,  # XDMF knows tensors in 3D alone
+    "deviatoric_strain": 1,
+    "void_ratio": 1,
+    "coordination_number": 1,
+    "fabric_anisotropy": 1,
+}
+
+
+def run(*arguments: object, timeout: float = 120) -> subprocess.CompletedProcess:
+    command = [sys.executable, "demos/biaxial.py", *map(str, arguments)]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    return subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=timeout
+    )
+
+
+def history(folder: Path) -> np.ndarray:
+    return np.genfromtxt(folder / "history.csv", delimiter=",", names=True)
+
+
+# One element (Guo-Zhao section 4.1)
+
+
+@pytest.fixture(scope="module")
+def single_element(tmp_path_factory):
+    """(the run, its folder): Q4 with 2 x 2 points, the reference packing, to 2 %."""
+    folder = tmp_path_factory.mktemp("single")
+    result = run(
+        *PACKING, "--mesh", 1, 1, "--element", "Q4", "--formulation", "finite",
+        "--tolerance", 5e-4, "--strain", 0.02, "--output", folder,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    return result, folder
+
+
+def test_one_element_answers_like_its_packing_on_its_own_up_to_the_peak(single_element):
+    rows = history(single_element[1])
+    assert rows["converged"].all()
+    law = HomogenisedLaw(reference_packing(), 1, PRESETS["balanced"])
+    states = list(drained_biaxial(law, 1e5, 0.02, 1e-3, free_shear=True))
+    ratio = np.array([state.stress_ratio for state in states])
+    volume = np.array([state.volumetric_strain for state in states])
+    to_peak = slice(0, int(ratio.argmax()) + 1)
+    assert ratio.max() > 2.8 and ratio.argmax() >= 15
+    strain = np.array([state.axial_strain for state in states])
+    same = [int(np.abs(rows["axial_strain"] - s).argmin()) for s in strain]
+    np.testing.assert_allclose(rows["axial_strain"][same], strain, atol=1e-9)
+    np.testing.assert_allclose(rows["stress_ratio"][same][to_peak], ratio[to_peak], rtol=1e-2)
+    np.testing.assert_allclose(
+        rows["volumetric_strain"][same][to_peak],
+        volume[to_peak],
+        atol=1e-2 * np.abs(volume[to_peak]).max(),
+    )
+
+
+def test_the_table_at_the_end_tells_what_the_history_holds(single_element):
+    result, folder = single_element
+    rows = history(folder)
+    peak = rows["stress_ratio"].max()
+    angle = np.degrees(np.arcsin((peak - 1) / (peak + 1)))
+    for told in (f"{peak:.3f}", f"{angle:.1f} degrees", "axial strain at peak", "load steps",
+                 f"{rows['void_ratio'][-1]:.4f}", "seconds in DEM / FEM / the rest",
+                 "holds that ended at their limit", "worst unbalance"):  # fmt: skip
+        assert told in result.stdout
+    assert result.stderr == ""
+
+
+def test_the_history_is_complete_and_consistent(single_element):
+    rows = history(single_element[1])
+    assert rows["axial_strain"][-1] == pytest.approx(0.02)
+    assert (np.diff(rows["axial_strain"]) > 0).all()
+    np.testing.assert_allclose(rows["axial_stress_Pa"], 1e5 * rows["stress_ratio"], rtol=1e-12)
+    first_void_ratio = reference_packing().void_ratio
+    np.testing.assert_allclose(
+        (1 + rows["void_ratio"]) / (1 + first_void_ratio), 1 + rows["volumetric_strain"], rtol=1e-5
+    )
+    assert (rows["evaluations"] >= 1).all()
+    assert (np.diff(rows["dem_steps"]) > 0).all()
+    assert (rows["failed_points"] == 0).all()
+
+
+def test_the_files_promised_are_there_and_can_be_read(single_element):
+    folder = single_element[1]
+    for name in PICTURES:
+        assert (folder / name).read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+        assert (folder / name).stat().st_size > 5000
+    for name in ("packing_in.h5", "packing_outside.h5"):
+        assert load_packing(folder / name).size == 400
+    steps = len(history(folder))
+    domain = ElementTree.parse(folder / "biaxial.xdmf").getroot().find("Domain")
+    (series,) = domain.findall("Grid")
+    grids = series.findall("Grid")
+    assert len(grids) == steps + 1  # and the beginning
+    times = [float(grid.find("Time").get("Value")) for grid in grids]
+    np.testing.assert_allclose(times[1:], history(folder)["axial_strain"])
+    with h5py.File(folder / "biaxial.h5") as file:
+        for grid in grids:
+            attributes = {a.get("Name"): a for a in grid.findall("Attribute")}
+            for name, components in FIELDS.items():
+                assert attributes[name].get("Center") == "Cell"
+                path = attributes[name].find("DataItem").text.split(":")[-1].strip()
+                values = file[path][()]
+                assert values.size == components
+                assert np.isfinite(values).all()
+            nodal = [a for a in attributes.values() if a.get("Center") == "Node"]
+            assert len(nodal) == 1  # the displacement, for "warp by vector"
+        path = attributes["stress"].find("DataItem").text.split(":")[-1].strip()
+        assert file[path][()].ravel()[4] < -2e5  # syy, tension positive
+
+
+# Ranks
+
+
+def test_one_and_two_ranks_give_the_same_history(tmp_path):
+    rows = []
+    for ranks in (1, 2):
+        folder = tmp_path / str(ranks)
+        result = run_on_ranks(
+            ranks, "demos.biaxial", *PACKING, "--mesh", "2", "2", "--element", "Q8",
+            "--strain", "0.003", "--output", str(folder), "--quiet",
+        )  # fmt: skip
+        assert result.returncode == 0, result.stderr
+        rows.append(history(folder))
+    one, two = rows
+    assert len(one) == len(two) == 3
+    for name in ("axial_strain", "stress_ratio", "axial_stress_Pa", "volumetric_strain",
+                 "void_ratio"):  # fmt: skip
+        np.testing.assert_allclose(two[name], one[name], rtol=1e-8, atol=1e-12, err_msg=name)
+    for name in ("iterations", "evaluations", "cuts", "unfinished_holds", "failed_points"):
+        np.testing.assert_array_equal(two[name], one[name], err_msg=name)
+
+
+def test_the_same_ranks_give_the_same_bits(tmp_path):
+    rows = []
+    for name in ("first", "second"):
+        result = run(
+            "--grains", 64, "--seed", 5, "--mesh", 1, 2, "--strain", 0.003, "--accuracy", "fast",
+            "--quiet", "--output", tmp_path / name,
+        )  # fmt: skip
+        assert result.returncode == 0, result.stderr
+        rows.append(history(tmp_path / name))
+    for name in rows[0].dtype.names:
+        if name != "seconds":
+            np.testing.assert_array_equal(rows[0][name], rows[1][name], err_msg=name)
+
+
+# Bad input
+
+
+def truncated(folder: Path) -> Path:
+    path = folder / "truncated.h5"
+    path.write_bytes((DATA / "packing.h5").read_bytes()[:10000])
+    return path
+
+
+def changed(folder: Path, name: str, value: int) -> Path:
+    path = folder / f"other_{name}.h5"
+    path.write_bytes((DATA / "packing.h5").read_bytes())
+    with h5py.File(path, "a") as file:
+        file.attrs[name] = value
+    return path
+
+
+#: What is asked for -> what the one line must name.
+BAD_INPUT = {
+    "unknown operator": (("--operator", "XYZ"), "unknown operator 'XYZ'; choose from UKO, CTO"),
+    "unknown element": (("--element", "Q27"), "Q27"),
+    "unknown formulation": (("--formulation", "large"), "unknown formulation 'large'"),
+    "unknown accuracy": (("--accuracy", "exact"), "unknown accuracy preset 'exact'"),
+    "Q9 with 2x2 points": (("--element", "Q9", "--points", "2x2"), "Q9"),
+    "negative friction": (("--friction", "-0.5"), "friction"),
+    "negative compaction friction": (("--compaction-friction", "-0.5"), "friction"),
+    "zero modulus": (("--modulus", "0"), "modulus"),
+    "zero grains": (("--grains", "0"), "1 grain or more, got 0"),
+    "one grain": (("--grains", "1"), "use more grains"),
+    "radii out of order": (("--radii", "7e-3", "3e-3"), "radii"),
+    "negative pressure": (("--pressure=-1e5",), "pressure"),
+    "step beyond the strain": (("--step", "0.1", "--strain", "0.05"), "--step 0.1"),
+    "NaN for a strain": (("--strain", "nan"), "--strain nan"),
+    "empty mesh": (("--mesh", "0", "2"), ""),
+    "negative width": (("--width", "-0.05"), ""),
+    "zero tolerance": (("--tolerance", "0"), ""),
+    "no threads": (("--threads", "0"), "threads"),
+    "missing packing": (("--packing", "nowhere/packing.h5"), "nowhere/packing.h5"),
+    "truncated packing": (("--packing", truncated), "truncated.h5: "),
+    "packing of 3 dimensions": (("--packing", lambda f: changed(f, "dim", 3)), "3 dimensions"),
+    "packing of version 9": (("--packing", lambda f: changed(f, "version", 9)), "version 9"),
+    "output below a file": (("--output", lambda f: truncated(f) / "results"), "truncated.h5"),
+}
+
+
+@pytest.fixture(scope="module")
+def answers(tmp_path_factory):
+    """{case: (the run, its output folder)}, two at a time."""
+
+    def answer(case: str):
+        folder = tmp_path_factory.mktemp("bad")
+        arguments = [a(folder) if callable(a) else a for a in BAD_INPUT[case][0]]
+        output = folder / "results"
+        return case, run("--output", output, *arguments), output
+
+    with ThreadPoolExecutor(2) as pool:
+        return {case: rest for case, *rest in pool.map(answer, BAD_INPUT)}
+
+
+@pytest.mark.parametrize("case", BAD_INPUT)
+def test_bad_input_gets_one_line_and_exit_code_two_and_leaves_nothing(answers, case):
+    result, output = answers[case]
+    assert result.returncode == 2, result.stderr
+    lines = result.stderr.splitlines()
+    assert len(lines) == 1, result.stderr
+    assert lines[0].startswith("error: ")
+    assert BAD_INPUT[case][1] in lines[0]
+    assert not output.exists() or not list(output.iterdir())
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("--operator", "XYZ"), ("--packing", "nowhere/packing.h5"), ("--output",)],
+    ids=["operator", "packing", "output"],
+)
+def test_two_ranks_with_bad_input_say_one_line_and_end(tmp_path, arguments):
+    if arguments[0] == "--output":
+        (tmp_path / "file").write_text("")
+        arguments = ("--output", str(tmp_path / "file" / "results"))
+    else:
+        arguments = ("--output", str(tmp_path / "results"), *arguments)
+    result = run_on_ranks(2, "demos.biaxial", *arguments, timeout=60)
+    assert result.returncode != 0
+    errors = [line for line in result.stderr.splitlines() if line.startswith("error:")]
+    assert len(errors) == 1, result.stderr
+    assert "Traceback" not in result.stderr
+    assert not list(tmp_path.glob("results/*"))
