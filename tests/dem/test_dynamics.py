@@ -85,6 +85,28 @@ def test_momentum_is_kept_to_rounding(cohesion):
     np.testing.assert_allclose((masses * moving.velocity).sum(0), before, atol=1e-12 * scale)
 
 
+def test_angular_momentum_is_kept_by_grains_that_rub():
+    """Orbital plus spin, m R^2 omega / 2 = m R w / 2 with the rim speed w."""
+    law = LinearContact(stiffness=STIFFNESS, friction=0.5)
+    packing = two_grains(1e-5, law, radii=(6e-3, 1e-2), angle=0.3)
+    along, across = np.array([np.cos(0.3), np.sin(0.3)]), np.array([-np.sin(0.3), np.cos(0.3)])
+    moving = Moving(packing, np.array([0.0 * along, 0.4 * across - along]), [0.2, -0.5])
+
+    def momenta():
+        x = moving.work.motion.position.T @ packing.box.T
+        v, w = moving.velocity, moving.work.motion.rim_speed
+        orbital = packing.masses * (x[:, 0] * v[:, 1] - x[:, 1] * v[:, 0])
+        return orbital.sum(), 0.5 * (packing.masses * packing.radii * w).sum()
+
+    before = momenta()
+    moving.advance(20000, 1e-3 * stable_time_step(packing))
+    after = momenta()
+    assert (moving.velocity[1] - moving.velocity[0]) @ along > 0  # they have parted
+    exchanged = after[1] - before[1]
+    assert abs(exchanged) > 1e-2 * packing.masses[0] * packing.radii[0] * 0.2
+    assert sum(after) == pytest.approx(sum(before), abs=1e-3 * abs(exchanged))
+
+
 def test_affine_motion_of_the_box_gives_no_grain_momentum(frictionless):
     moving = Moving(frictionless)
     dt = 0.5 * stable_time_step(frictionless)
