@@ -240,7 +240,6 @@ def test_constant_area_compression_follows_yade_up_to_two_percent():
 def test_slow_constant_area_compression_has_yades_mean_stress_from_two_to_five_percent():
     ours, theirs = isochoric(BALANCED.but(inertial_number=1e-4), 100)
     largest = np.abs(theirs).max()
-    assert np.abs(ours[:40] - theirs[:40]).max() < 0.015 * np.abs(theirs[:40]).max()
     ours, theirs = ours[40:].mean(0), theirs[40:].mean(0)
     np.testing.assert_allclose(ours[:2], theirs[:2], rtol=0.10)
     assert abs(ours[2] - theirs[2]) < 0.10 * largest
