@@ -1,0 +1,239 @@
+"""Draw the pictures of the documentation: runs the scenes, keeps their numbers, draws.
+
+Writes `docs/figures/*.png` and, beside them, the small tables that they are drawn from. With
+`--redraw` it draws from the tables that are there and runs nothing. Names choose figures.
+"""
+
+import argparse
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
+
+ROOT = Path(__file__).resolve().parents[1]
+FIGURES = ROOT / "docs" / "figures"
+sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
+import accuracy  # noqa: E402
+
+from femxdem_fenicsx import plotting  # noqa: E402
+from femxdem_fenicsx.dem.accuracy import PRESETS  # noqa: E402
+from femxdem_fenicsx.dem.files import load_packing  # noqa: E402
+
+OURS, THEIRS, THIRD = plotting.COLOURS[:3]
+
+
+def python(script: str, *arguments: str) -> str:
+    """Run a script of this repository; its output. A demo whose load path ends early is fine."""
+    done = subprocess.run(
+        [sys.executable, str(ROOT / script), *arguments], stdout=subprocess.PIPE, text=True
+    )
+    if done.returncode not in (0, 3):
+        raise RuntimeError(f"{script} ended with exit code {done.returncode}")
+    return done.stdout
+
+
+def table(name: str) -> np.ndarray:
+    """One of the tables beside the figures, columns by name."""
+    return np.genfromtxt(FIGURES / f"{name}.csv", delimiter=",", names=True)
+
+
+def keep(name: str, columns: str, rows: np.ndarray) -> None:
+    """Write a table beside the figures."""
+    np.savetxt(
+        FIGURES / f"{name}.csv", rows, fmt="%.6g", delimiter=",", header=columns, comments=""
+    )
+
+
+# The demo, as `make biaxial` runs it
+
+
+def run_biaxial() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        summary = python("demos/biaxial.py", "--output", folder)
+        for name in ("fields", "history", "force_chains"):
+            shutil.copy(Path(folder) / f"{name}.png", FIGURES / f"biaxial_{name}.png")
+    (FIGURES / "biaxial.txt").write_text(summary)
+
+
+def draw_biaxial() -> None:
+    """The demo has drawn already."""
+
+
+# The coupled test beside escript + YADE
+
+
+def run_coupled() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        python(
+            "demos/biaxial.py", "--quiet", "--output", folder, "--formulation", "small",
+            "--packing", str(accuracy.YADE / "packing.h5"), "--element", "Q8",
+            "--mesh", "2", "4", "--strain", "0.046",
+        )  # fmt: skip
+        rows = np.genfromtxt(Path(folder) / "history.csv", delimiter=",", names=True)
+    names = ("axial_strain", "axial_stress_Pa", "volumetric_strain", "evaluations", "converged")
+    keep("coupled_2x4", ",".join(names), np.column_stack([rows[name] for name in names]))
+
+
+@matplotlib.rc_context(plotting.STYLE)
+def draw_coupled() -> None:
+    ours, theirs = table("coupled_2x4"), accuracy.yade("steps_2x4")
+    strain = -100 * theirs["axial_strain"]
+    figure = Figure((3.5, 4.2), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.4, 1])
+    upper.plot(
+        strain, -1e-3 * theirs["sigma_yy_top_Pa"], color=THEIRS, ls="--", label="escript + YADE"
+    )
+    x, y = 100 * ours["axial_strain"], 1e-3 * ours["axial_stress_Pa"]
+    upper.plot(np.append(0, x), np.append(100, y), color=OURS, label="femxdem_fenicsx")
+    open_ = ours["converged"] == 0
+    if open_.any():
+        upper.plot(x[open_], y[open_], "o", ms=3, mfc="w", mec=OURS, label="not converged")
+    upper.set_ylabel("axial stress (kPa),\ncompression positive")
+    upper.legend()
+    number = np.rint(ours["axial_strain"] * 1e3 + 0.4999).astype(int)  # of the step of 0.1 %
+    evaluations = np.bincount(number, ours["evaluations"])[1:]
+    lower.bar(
+        strain[1:] - 0.02, theirs["dem_sweeps"][1:], 0.04, color=THEIRS, label="escript + YADE"
+    )
+    lower.bar(
+        0.1 * np.arange(1, len(evaluations) + 1) + 0.02, evaluations, 0.04, color=OURS,
+        label="femxdem_fenicsx",
+    )  # fmt: skip
+    lower.set_yscale("log")
+    lower.set_ylabel("evaluations of the law\nper 0.1 % of strain")
+    lower.set_xlabel("axial strain (%), compression positive")
+    figure.align_ylabels()
+    figure.savefig(FIGURES / "coupled_2x4.png")
+
+
+# One packing beside YADE
+
+
+def run_element_tests() -> None:
+    packing, balanced = load_packing(accuracy.YADE / "packing.h5"), PRESETS["balanced"]
+    rows = accuracy.drained(packing, balanced, 0.05)
+    keep("drained", "axial_strain,stress_ratio,volumetric_strain", rows)
+    rows = accuracy.isochoric(packing, balanced, 0.05)
+    keep("isochoric", "log_strain,sigma_xx_Pa,sigma_yy_Pa", rows)
+
+
+@matplotlib.rc_context(plotting.STYLE)
+def draw_element_tests() -> None:
+    others = []
+    for rate in ("1e-7", "1e-6"):
+        rows = accuracy.yade(f"drained_{rate}")
+        rows = rows[-rows["axial_eng_strain"] <= 0.05]
+        curve = -rows["axial_eng_strain"], rows["stress_ratio_syy_over_sxx"]
+        label = f"YADE, {rate} per DEM step"
+        others.append((label, *curve, np.expm1(rows["vol_log_strain"])))
+    ours = table("drained")
+    plotting.save_history(
+        FIGURES / "drained.png",
+        np.append(0, ours["axial_strain"]),
+        np.append(1, ours["stress_ratio"]),
+        np.append(0, ours["volumetric_strain"]),
+        others,
+    )
+    figure = Figure((3.5, 2.4), layout="constrained")
+    axes = figure.subplots()
+    ours, theirs = table("isochoric"), accuracy.yade("isochoric")
+    for k, name in enumerate("xy"):
+        start = theirs[f"s{name}{name}_Pa"][0]
+        axes.plot(
+            100 * theirs["log_strain_or_gamma"], -1e-3 * theirs[f"s{name}{name}_Pa"],
+            color=THEIRS, ls="--", lw=1.1, label=None if k else "YADE",
+        )  # fmt: skip
+        x = 100 * np.append(0, ours["log_strain"])
+        y = -1e-3 * np.append(start, ours[f"sigma_{name}{name}_Pa"])
+        axes.plot(x, y, color=OURS, zorder=1.9, label=None if k else "femxdem_fenicsx")
+        axes.annotate(
+            f"$\\sigma_{{{name}{name}}}$", (x[25], y[25]), (0, 14 if k else -14),
+            textcoords="offset points", ha="center", va="center",
+        )  # fmt: skip
+    axes.set_xlabel("axial strain (%, logarithmic), compression positive")
+    axes.set_ylabel("stress (kPa), compression positive")
+    axes.margins(x=0.0)
+    axes.legend()
+    figure.savefig(FIGURES / "isochoric.png")
+
+
+# Error against cost of the micro scale
+
+
+def run_accuracy() -> None:
+    output = python("benchmarks/accuracy.py").splitlines()[-1]
+    (FIGURES / "accuracy.json").write_text(json.dumps(json.loads(output), indent=1) + "\n")
+
+
+@matplotlib.rc_context(plotting.STYLE)
+def draw_accuracy() -> None:
+    rows = {
+        row["varied"]: row for row in json.loads((FIGURES / "accuracy.json").read_text())["rows"]
+    }
+
+    def points(names) -> tuple[list[float], list[float]]:
+        steps = [rows[name]["dem_steps_per_increment"] for name in names]
+        return steps, [100 * rows[name]["rms_stress_error"] for name in names]
+
+    figure = Figure((3.5, 2.8), layout="constrained")
+    axes = figure.subplots()
+    floor = 100 * rows["reference run at 1e-5"]["rms_stress_error"]
+    axes.axhline(floor, color="0.7", lw=0.8, zorder=1)
+    axes.annotate(
+        "two very slow runs differ by this", (3600, floor), (0, -3), textcoords="offset points",
+        ha="right", va="top", size="small", color="0.45",
+    )  # fmt: skip
+    numbers = [name for name in rows if name.startswith("inertial")]
+    axes.plot(*points(numbers), "o-", ms=3, color="0.45", lw=0.8, label="inertial number varied")
+    places = {3e-3: (-5, -3, "right"), 3e-4: (4, 4, "left"), 3e-5: (0, 5, "center")}
+    for name, x, y in zip(numbers, *points(numbers), strict=True):
+        number = rows[name]["inertial_number"]
+        if number in places:
+            right, up, align = places[number]
+            axes.annotate(
+                f"$I = 3\\cdot 10^{{{np.log10(number / 3):.0f}}}$", (x, y), (right, up),
+                textcoords="offset points", size="small", color="0.35", ha=align,
+            )  # fmt: skip
+    for colour, preset in zip((THEIRS, OURS, THIRD), PRESETS, strict=True):
+        ((x,), (y,)) = points([f"preset {preset}"])
+        axes.plot(x, y, "o", ms=6, color=colour, label=f"preset {preset}", zorder=3)
+        ((x,), (y,)) = points([f"preset {preset}, from rest"])
+        axes.plot(x, y, "o", ms=6, mfc="none", mec=colour, zorder=3)
+    axes.plot([], [], "o", ms=6, mfc="none", mec="0.4", label="the same, each increment from rest")
+    axes.set(xscale="log", yscale="log", xlim=(16, 4500), ylim=(0.2, 3.2))
+    axes.set_yticks([0.2, 0.5, 1, 2], ["0.2", "0.5", "1", "2"])
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.set_xlabel("DEM steps per increment of 0.1 %")
+    axes.set_ylabel("rms error of the stress (%)")
+    axes.legend(loc="upper right", fontsize="small")
+    figure.savefig(FIGURES / "accuracy.png")
+
+
+NAMES = ("accuracy", "element_tests", "coupled", "biaxial")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", help=f"{', '.join(NAMES)} (default: all)")
+    parser.add_argument("--redraw", action="store_true", help="run nothing")
+    args = parser.parse_args()
+    unknown = set(args.names) - set(NAMES)
+    if unknown:
+        parser.error(f"unknown figure {', '.join(sorted(unknown))}; choose from {', '.join(NAMES)}")
+    FIGURES.mkdir(parents=True, exist_ok=True)
+    for name in args.names or NAMES:
+        print(name, flush=True)
+        if not args.redraw:
+            globals()[f"run_{name}"]()
+        globals()[f"draw_{name}"]()
+
+
+if __name__ == "__main__":
+    main()
