@@ -62,11 +62,9 @@ class HomogenisedLaw:
     """A periodic packing at every material point; stress by Desrues eq. 27.
 
     Attributes:
-        dim: 2. size: number of material points. tally: see `Tally`.
+        dim: of the packings, 2 or 3. size: number of material points. tally: see `Tally`.
         response: the packings, committed and trial.
     """
-
-    dim = 2
 
     def __init__(
         self,
@@ -79,25 +77,27 @@ class HomogenisedLaw:
         """The same packing at all `size` points; ValueError for what is not possible."""
         self._operator = operator(operator_name)
         self.response = Response(packing, size, accuracy, threads)
-        self.size = size
+        self.dim, self.size = packing.dim, size
+        self._identity = np.eye(self.dim)
         self.tally = Tally()
-        self._F = np.broadcast_to(np.eye(2), (size, 2, 2))
+        self._F = np.broadcast_to(self._identity, (size, self.dim, self.dim))
         self._initial_box = self.response.committed.box.copy()
         self._initial_stiffness = 0.0
         self._grains = packing.size
-        self._area_of_grains = float(np.pi * (packing.radii**2).sum())
+        self._initial_void_ratio = packing.void_ratio
 
     def evaluate(self, F: np.ndarray) -> np.ndarray:
-        """Stress (n, 2, 2), Pa, at F (n, 2, 2) relative to the committed state.
+        """Stress (n, d, d), Pa, at F (n, d, d) relative to the committed state.
 
         F - I is rounded to multiples of `STRAIN_QUANTUM`.
 
         Raises InadmissibleDeformation for an F that is no deformation or lets a packing collapse.
         """
-        if np.shape(F) != (self.size, 2, 2):
-            raise ValueError(f"F has shape {np.shape(F)}, expected {(self.size, 2, 2)}")
+        shape = (self.size, self.dim, self.dim)
+        if np.shape(F) != shape:
+            raise ValueError(f"F has shape {np.shape(F)}, expected {shape}")
         started = perf_counter()
-        F = np.eye(2) + np.round((F - np.eye(2)) / STRAIN_QUANTUM) * STRAIN_QUANTUM
+        F = self._identity + np.round((F - self._identity) / STRAIN_QUANTUM) * STRAIN_QUANTUM
         try:
             outcome = self.response.deform(F)
         except (ValueError, FloatingPointError) as error:
@@ -107,7 +107,7 @@ class HomogenisedLaw:
         return outcome.stress.copy()
 
     def tangent(self) -> np.ndarray:
-        """C = d sigma / d F (n, 2, 2, 2, 2), Pa, at the last trial, by the law's operator.
+        """C = d sigma / d F (n, d, d, d, d), Pa, at the last trial, by the law's operator.
 
         A failed packing gets a small isotropic stiffness, so that the global matrix is regular.
         """
@@ -115,7 +115,7 @@ class HomogenisedLaw:
         C = self._operator(self.response, self._F)
         if self._initial_stiffness == 0.0:
             self._initial_stiffness = float(np.abs(C).max(initial=0.0))
-        identity = np.einsum("ik,jl->ijkl", np.eye(2), np.eye(2))
+        identity = np.einsum("ik,jl->ijkl", self._identity, self._identity)
         C[self._failed(self.response.outcome)] += (
             FAILED_STIFFNESS * self._initial_stiffness * identity
         )
@@ -125,12 +125,12 @@ class HomogenisedLaw:
     def commit(self) -> None:
         """The trial becomes the state."""
         self.response.commit()
-        self._F = np.broadcast_to(np.eye(2), (self.size, 2, 2))
+        self._F = np.broadcast_to(self._identity, (self.size, self.dim, self.dim))
 
     def discard(self) -> None:
         """Forget the trial."""
         self.response.discard()
-        self._F = np.broadcast_to(np.eye(2), (self.size, 2, 2))
+        self._F = np.broadcast_to(self._identity, (self.size, self.dim, self.dim))
 
     def save(self, group: h5py.Group) -> None:
         """Write the committed state, the whole of it, into an HDF5 group."""
@@ -161,12 +161,12 @@ class HomogenisedLaw:
 
     @property
     def stress(self) -> np.ndarray:
-        """Committed stress (n, 2, 2), Pa."""
+        """Committed stress (n, d, d), Pa."""
         return self.response.committed_outcome.stress
 
     @property
     def deformation(self) -> np.ndarray:
-        """Committed deformation gradient (n, 2, 2) since the beginning."""
+        """Committed deformation gradient (n, d, d) since the beginning."""
         return self.response.committed.box @ np.linalg.inv(self._initial_box)
 
     @property
@@ -174,12 +174,13 @@ class HomogenisedLaw:
         """eps_q = sqrt(2 e : e) (n,), e the deviator of the logarithmic strain (GZ eq. 13)."""
         F = self.deformation
         principal = 0.5 * np.log(np.linalg.eigvalsh(F @ np.swapaxes(F, 1, 2)))
-        return np.abs(principal[:, 1] - principal[:, 0])
+        deviator = principal - principal.mean(1, keepdims=True)
+        return np.sqrt(2.0 * (deviator**2).sum(1))
 
     @property
     def void_ratio(self) -> np.ndarray:
         """(n,)."""
-        return np.linalg.det(self.response.committed.box) / self._area_of_grains - 1.0
+        return (1.0 + self._initial_void_ratio) * np.linalg.det(self.deformation) - 1.0
 
     @property
     def coordination_number(self) -> np.ndarray:

@@ -6,6 +6,10 @@ from math import isfinite
 from .aliasing import kernel
 
 
+#: Schemes of the tangential force: Desrues eq. 24 (the variant used there), eq. 10, eq. 12.
+SCHEMES = ("semi-explicit", "projection", "implicit")
+
+
 @dataclass(frozen=True)
 class LinearContact:
     """Linear elastic contacts with Coulomb friction (Desrues eq. 22-26, Guo-Zhao eq. 14-17).
@@ -21,6 +25,8 @@ class LinearContact:
             friction is limited by the elastic part, mu k_n d.
         viscous_damping: eta in [0, 1[, share of the critical damping of a contact (eq. 22, with
             the reduced mass M_n M_m / (M_n + M_m); the paper prints its inverse).
+        scheme: how the tangential force of spheres turns with its contact from step to step, one of
+            `SCHEMES`; disks need none.
     """
 
     stiffness: float | None = None
@@ -29,6 +35,7 @@ class LinearContact:
     friction: float = 0.5
     cohesion: float = 0.0
     viscous_damping: float = 0.0
+    scheme: str = "semi-explicit"
 
     def __post_init__(self):
         if (self.stiffness is None) == (self.modulus is None):
@@ -45,6 +52,11 @@ class LinearContact:
                 f"LinearContact: viscous_damping must be in [0, 1[, got {self.viscous_damping}"
             )
 
+        if self.scheme not in SCHEMES:
+            raise ValueError(
+                f"LinearContact: unknown scheme '{self.scheme}'; choose from {', '.join(SCHEMES)}"
+            )
+
     @property
     def stiffnesses(self) -> tuple[float, float]:
         """(constant part of k_n in N/m, modulus in Pa); one of the two is zero."""
@@ -57,6 +69,11 @@ class LinearContact:
         The type None makes Numba compile a kernel that holds no trace of that feature.
         """
         return self.friction or None, self.cohesion or None, self.viscous_damping or None
+
+    @property
+    def turning(self) -> tuple[bool | None, bool | None]:
+        """(projected, implicit): True for the scheme in use, None for others."""
+        return self.scheme == "projection" or None, self.scheme == "implicit" or None
 
 
 @kernel

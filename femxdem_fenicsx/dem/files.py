@@ -34,6 +34,7 @@ def save_packing(path: str | Path, packing: Packing) -> None:
                 file[name] = getattr(packing, name)
             law = file.create_group("law")
             law.attrs["kind"] = type(packing.law).__name__
+            law.attrs["scheme"] = packing.law.scheme
             for name in LAW:
                 value = getattr(packing.law, name)
                 law.attrs[name] = np.nan if value is None else value

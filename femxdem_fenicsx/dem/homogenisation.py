@@ -13,9 +13,9 @@ from .packing import PAIRS_PER_GRAIN, Packing
 class Contacts:
     """The C touching pairs of a packing.
 
-    pairs (C, 2) i < j; branches (C, 2) from i to j, m; normals (C, 2); overlaps (C,) m;
-    stiffness (C,) k_n, N/m; normal_force (C,) compression positive, N; tangential (C,) N along
-    (-n_y, n_x) on j; forces (C, 2) on i, N (Desrues: f^{m/n}).
+    pairs (C, 2) i < j; branches (C, d) from i to j, m; normals (C, d); overlaps (C,) m;
+    stiffness (C,) k_n, N/m; normal_force (C,) compression positive, N; tangential on j, N, (C,)
+    along (-n_y, n_x) for disks and (C, 3) for spheres; forces (C, d) on i, N (Desrues: f^{m/n}).
     """
 
     pairs: np.ndarray
@@ -31,7 +31,9 @@ class Contacts:
 def touching(packing: Packing) -> Contacts:
     """All contacts of the packing as it stands (no viscous forces)."""
     material = packing.material
-    pairs, _, grid = neighbours.allocate(packing.size, 4 * PAIRS_PER_GRAIN * packing.size, False)
+    pairs, _, grid = neighbours.allocate(
+        packing.size, packing.dim, 4 * PAIRS_PER_GRAIN[packing.dim] * packing.size, False
+    )
     count = neighbours.build(
         packing.box, packing.positions.T.copy(), packing.radii, material.inverse_mass,
         material.stiffness, material.modulus, None, 0.0, pairs, grid,
@@ -42,13 +44,13 @@ def touching(packing: Packing) -> Contacts:
     branches = (
         packing.positions[j] - packing.positions[i] + pairs.shift[:, :count].T
     ) @ packing.box.T
-    lengths = np.hypot(*branches.T)
+    lengths = np.linalg.norm(branches, axis=1)
     normals = branches / lengths[:, None]
     overlaps = pairs.reach[:count] - lengths
     normal = pairs.stiffness[:count] * overlaps - packing.law.cohesion
     tangential = _tangential_of(packing, i, j)
     on_j = normal[:, None] * normals
-    on_j += tangential[:, None] * np.column_stack([-normals[:, 1], normals[:, 0]])
+    on_j += tangential_vectors(normals, tangential)
     return Contacts(
         np.column_stack([i, j]), branches, normals, overlaps, pairs.stiffness[:count].copy(),
         normal, tangential, -on_j,
@@ -62,14 +64,22 @@ def _tangential_of(packing: Packing, i: np.ndarray, j: np.ndarray) -> np.ndarray
     wanted = i * packing.size + j
     place = np.searchsorted(known[order], wanted)
     place[place == len(known)] = 0
-    if len(known) == 0:
-        return np.zeros(len(i))
-    found = known[order][place] == wanted
-    return np.where(found, packing.tangential[order][place], 0.0)
+    forces = np.zeros((len(i), *packing.tangential.shape[1:]))
+    if len(known):
+        found = known[order][place] == wanted
+        forces[found] = packing.tangential[order][place][found]
+    return forces
+
+
+def tangential_vectors(normals: np.ndarray, tangential: np.ndarray) -> np.ndarray:
+    """Tangential forces (C, d) from what a packing holds: along (-n_y, n_x) (C,), or (C, 3)."""
+    if tangential.ndim == 2:
+        return tangential
+    return tangential[:, None] * np.column_stack([-normals[:, 1], normals[:, 0]])
 
 
 def stress(packing: Packing, contacts: Contacts | None = None) -> np.ndarray:
-    """Cauchy stress (2, 2), Pa, tension positive: sum of f (x) b over V (Desrues eq. 27)."""
+    """Cauchy stress (d, d), Pa, tension positive: sum of f (x) b over V (Desrues eq. 27)."""
     contacts = contacts or touching(packing)
     return contacts.forces.T @ contacts.branches / packing.volume
 
@@ -81,16 +91,23 @@ def coordination_number(packing: Packing, contacts: Contacts | None = None) -> f
 
 
 def fabric(contacts: Contacts) -> np.ndarray:
-    """phi (2, 2): mean of n (x) n over the contacts (Guo-Zhao eq. 22); I / 2 without contacts."""
+    """phi (d, d): mean of n (x) n over the contacts (Guo-Zhao eq. 22); I / d without contacts."""
+    dim = contacts.normals.shape[1]
     if len(contacts.normals) == 0:
-        return np.eye(2) / 2
+        return np.eye(dim) / dim
     return contacts.normals.T @ contacts.normals / len(contacts.normals)
 
 
 def fabric_anisotropy(phi: np.ndarray) -> np.ndarray:
-    """F_a = sqrt(F_a : F_a / 2) with F_a = 4 (phi - I / 2), Guo-Zhao eq. 24-25; phi (..., 2, 2)."""
-    deviator = 4.0 * (phi - np.eye(2) / 2)
-    return np.sqrt(0.5 * (deviator**2).sum((-2, -1)))
+    """Intensity of the anisotropy of phi (..., d, d).
+
+    2D: F_a = sqrt(F_a : F_a / 2) with F_a = 4 (phi - I / 2), Guo-Zhao eq. 24-25. 3D: the same for
+    E(n) = (1 + F_a : n n) / (4 pi), that is F_a = 15/2 (phi - I / 3) and sqrt(3/2 F_a : F_a).
+    """
+    dim = phi.shape[-1]
+    factor, weight = (4.0, 0.5) if dim == 2 else (7.5, 1.5)
+    deviator = factor * (phi - np.eye(dim) / dim)
+    return np.sqrt(weight * (deviator**2).sum((-2, -1)))
 
 
 def elastic_energy(packing: Packing, contacts: Contacts | None = None) -> float:
@@ -99,48 +116,55 @@ def elastic_energy(packing: Packing, contacts: Contacts | None = None) -> float:
     energy = 0.5 * (contacts.stiffness * contacts.overlaps**2).sum()
     if packing.law.friction > 0 and packing.law.stiffness_ratio > 0:
         kt = packing.law.stiffness_ratio * contacts.stiffness
-        energy += 0.5 * (contacts.tangential**2 / kt).sum()
+        squared = (contacts.tangential.reshape(len(kt), -1) ** 2).sum(1)
+        energy += 0.5 * (squared / kt).sum()
     return float(energy)
 
 
 @kernel
 def measure(motion, pairs, cohesion, thickness, stress, fabric):
-    """Stress and fabric (2, 2) of a packing in the work space; returns (contacts, overlap).
+    """Stress and fabric (d, d) of a packing in the work space; returns (contacts, overlap).
 
     The same sums as `stress` and `fabric`, from the positions of this moment. `overlap` is the
     largest, as a share of the mean diameter of its two grains.
     """
     box, position = motion.box, motion.position
+    dim = box.shape[0]
+    branch, force = np.empty(dim), np.empty(dim)
     stress[:] = 0.0
     fabric[:] = 0.0
     contacts, overlap = 0, 0.0
     for c in range(pairs.first[-1]):
         i, j = pairs.i[c], pairs.j[c]
-        sx = position[0, j] - position[0, i] + pairs.shift[0, c]
-        sy = position[1, j] - position[1, i] + pairs.shift[1, c]
-        bx, by = box[0, 0] * sx + box[0, 1] * sy, box[1, 0] * sx + box[1, 1] * sy
-        length = (bx * bx + by * by) ** 0.5
+        squared = 0.0
+        for a in range(dim):
+            branch[a] = 0.0
+            for b in range(dim):
+                reduced = position[b, j] - position[b, i] + pairs.shift[b, c]
+                branch[a] += box[a, b] * reduced
+            squared += branch[a] ** 2
+        length = squared**0.5
         if length >= pairs.reach[c]:
             continue
-        nx, ny = bx / length, by / length
         normal = pairs.stiffness[c] * (pairs.reach[c] - length)
         if cohesion is not None:
             normal -= cohesion
-        fx = normal * nx - pairs.tangential[c] * ny
-        fy = normal * ny + pairs.tangential[c] * nx
-        stress[0, 0] -= fx * bx
-        stress[0, 1] -= fx * by
-        stress[1, 0] -= fy * bx
-        stress[1, 1] -= fy * by
-        fabric[0, 0] += nx * nx
-        fabric[0, 1] += nx * ny
-        fabric[1, 1] += ny * ny
+        if dim == 2:
+            force[0] = (normal * branch[0] - pairs.tangential[0, c] * branch[1]) / length
+            force[1] = (normal * branch[1] + pairs.tangential[0, c] * branch[0]) / length
+        else:
+            for a in range(dim):
+                force[a] = normal * branch[a] / length + pairs.tangential[a, c]
+        for a in range(dim):
+            for b in range(dim):
+                stress[a, b] -= force[a] * branch[b]
+                fabric[a, b] += branch[a] * branch[b] / squared
         contacts += 1
         overlap = max(overlap, (pairs.reach[c] - length) / pairs.reach[c])
-    stress /= (box[0, 0] * box[1, 1] - box[0, 1] * box[1, 0]) * thickness
-    fabric[1, 0] = fabric[0, 1]
+    stress /= abs(np.linalg.det(box)) * thickness
     if contacts > 0:
         fabric /= contacts
     else:
-        fabric[0, 0] = fabric[1, 1] = 0.5
+        for a in range(dim):
+            fabric[a, a] = 1.0 / dim
     return contacts, overlap

@@ -38,8 +38,8 @@ class Loading(NamedTuple):
 class Outcome(NamedTuple):
     """What `deform` tells of the B packings, one row each."""
 
-    stress: np.ndarray  # (B, 2, 2) Pa
-    fabric: np.ndarray  # (B, 2, 2)
+    stress: np.ndarray  # (B, d, d) Pa
+    fabric: np.ndarray  # (B, d, d)
     loading_steps: np.ndarray  # (B,)
     hold_steps: np.ndarray  # (B,)
     unbalance: np.ndarray  # (B,) of eq. 19 at the end; 0 without contacts
@@ -48,10 +48,10 @@ class Outcome(NamedTuple):
     overlap: np.ndarray  # (B,) largest, over the mean diameter of its grains
 
     @classmethod
-    def of(cls, size: int) -> "Outcome":
+    def of(cls, size: int, dim: int) -> "Outcome":
         """Room for that many packings."""
         return cls(
-            np.zeros((size, 2, 2)), np.zeros((size, 2, 2)), np.zeros(size, np.int64),
+            np.zeros((size, dim, dim)), np.zeros((size, dim, dim)), np.zeros(size, np.int64),
             np.zeros(size, np.int64), np.zeros(size), np.zeros(size, np.bool_),
             np.zeros(size, np.int64), np.zeros(size),
         )  # fmt: skip
@@ -145,13 +145,14 @@ def resume_flow(motion, gradient, flow, flow_gradient):
     along = (gradient * flow_gradient).sum()
     squared = (flow_gradient * flow_gradient).sum()
     share = max(along / squared, 0.0) if squared > 0.0 else 0.0
-    motion.velocity[:] = share * flow[:2]
-    motion.rim_speed[:] = share * flow[2]
+    dim = len(motion.velocity)
+    motion.velocity[:] = share * flow[:dim]
+    motion.rim_velocity[:] = share * flow[dim:]
 
 
 @kernel
 def deform(b, row, F, log_F, shear, pressure, material, loading, state, new, outcome, work):
-    """Deform packing b by F (2, 2) in the time of its shear, then hold it; Desrues eq. 16-19.
+    """Deform packing b by F (d, d) in the time of its shear, then hold it; Desrues eq. 16-19.
 
     `state` holds the arrays of a PackingBatch. The new state goes to row b of `new`, another such
     tuple, or nowhere where that is None; what is measured goes to `row` of `outcome`.
@@ -163,7 +164,7 @@ def deform(b, row, F, log_F, shear, pressure, material, loading, state, new, out
     history.first[:] = state[4][b]
     count = history.first[-1]
     history.j[:count] = state[5][b, :count]
-    history.tangential[:count] = state[6][b, :count]
+    history.tangential[:, :count] = state[6][b, :, :count]
     final_box = F @ motion.box
     if dynamics.start(material, work) != OK:
         return NO_ROOM
@@ -179,13 +180,15 @@ def deform(b, row, F, log_F, shear, pressure, material, loading, state, new, out
         return NO_ROOM
     motion.box[:] = final_box
     if new is not None:
-        new[2][b, :2], new[2][b, 2] = motion.velocity, motion.rim_speed
+        new[2][b, : len(F)], new[2][b, len(F) :] = motion.velocity, motion.rim_velocity
         new[3][b] = gradient
 
     motion.velocity[:] = 0.0
-    motion.rim_speed[:] = 0.0
+    motion.rim_velocity[:] = 0.0
     weakest = held_pressure * loading.mean_diameter * loading.thickness
-    still = np.zeros((2, 2))
+    if len(F) == 3:
+        weakest *= loading.mean_diameter
+    still = np.zeros_like(F)
     held, ratio, at_rest = 0, 0.0, False
     while not at_rest and held < loading.hold_limit:
         if (
@@ -209,7 +212,7 @@ def deform(b, row, F, log_F, shear, pressure, material, loading, state, new, out
         new[1][b] = motion.position
         new[4][b] = history.first
         new[5][b, :count] = history.j[:count]
-        new[6][b, :count] = history.tangential[:count]
+        new[6][b, :, :count] = history.tangential[:, :count]
     outcome.contacts[row], outcome.overlap[row] = measure(
         motion, work.pairs, material.cohesion, loading.thickness, outcome.stress[row],
         outcome.fabric[row],

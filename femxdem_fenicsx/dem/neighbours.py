@@ -14,18 +14,23 @@ from .contacts import normal_stiffness
 
 
 class Pairs(NamedTuple):
-    """Arrays of a pair list with room for P pairs of N grains; `first[N]` of them are in use."""
+    """Arrays of a pair list with room for P pairs of N grains in d dimensions.
+
+    `first[N]` of them are in use. A tangential force has q components: one along (-n_y, n_x) in
+    two dimensions, three in three.
+    """
 
     first: np.ndarray  # (N + 1,) row starts
     i: np.ndarray  # (P,)
     j: np.ndarray  # (P,)
-    shift: np.ndarray  # (2, P) image of j that is near i, in boxes
+    shift: np.ndarray  # (d, P) image of j that is near i, in boxes
     reach: np.ndarray  # (P,) sum of radii, m
     stiffness: np.ndarray  # (P,) k_n, N/m
     dashpot: np.ndarray | None  # (P,) viscous coefficient, N s/m, or None without viscosity
-    tangential: np.ndarray  # (P,) tangential force on j along (-n_y, n_x), N
-    anchor: np.ndarray  # (2, N) reduced positions when the list was built
-    anchor_box: np.ndarray  # (2, 2) box when the list was built
+    tangential: np.ndarray  # (q, P) tangential force on j, N
+    normal: np.ndarray | None  # (3, P) n of the last step, of spheres
+    anchor: np.ndarray  # (d, N) reduced positions when the list was built
+    anchor_box: np.ndarray  # (d, d) box when the list was built
 
 
 class History(NamedTuple):
@@ -33,59 +38,56 @@ class History(NamedTuple):
 
     first: np.ndarray  # (N + 1,)
     j: np.ndarray  # (C,)
-    tangential: np.ndarray  # (C,) N
+    tangential: np.ndarray  # (q, C) N
 
 
 class Grid(NamedTuple):
-    """Work space of the search: linked lists of the grains of each grid square."""
+    """Work space of the search: linked lists of the grains of each cell of a grid."""
 
     head: np.ndarray  # (M,)
     following: np.ndarray  # (N,)
+    cell: np.ndarray  # (d, N)
+    place: np.ndarray  # (d, N) wrapped into the box, m
     marker: np.ndarray  # (N,)
 
 
-def allocate(grains: int, capacity: int, viscous: bool) -> tuple[Pairs, History, Grid]:
+def allocate(grains: int, dim: int, capacity: int, viscous: bool) -> tuple[Pairs, History, Grid]:
     """Empty work space for a packing of that many grains and at most `capacity` pairs."""
     index, real = np.uint32, np.float64
+    components = 1 if dim == 2 else 3
     pairs = Pairs(
         np.zeros(grains + 1, index),
         np.zeros(capacity, index),
         np.zeros(capacity, index),
-        np.zeros((2, capacity), real),
+        np.zeros((dim, capacity), real),
         np.zeros(capacity, real),
         np.zeros(capacity, real),
         np.zeros(capacity, real) if viscous else None,
-        np.zeros(capacity, real),
-        np.zeros((2, grains), real),
-        np.zeros((2, 2), real),
+        np.zeros((components, capacity), real),
+        np.zeros((3, capacity), real) if dim == 3 else None,
+        np.zeros((dim, grains), real),
+        np.zeros((dim, dim), real),
     )
     history = History(
-        np.zeros(grains + 1, index), np.zeros(capacity, index), np.zeros(capacity, real)
+        np.zeros(grains + 1, index),
+        np.zeros(capacity, index),
+        np.zeros((components, capacity), real),
     )
     grid = Grid(
-        np.zeros(grains + 16, np.int32), np.zeros(grains, np.int32), np.zeros(grains, np.int32)
+        np.zeros(grains + 16, np.int32),
+        np.zeros(grains, np.int32),
+        np.zeros((dim, grains), np.int32),
+        np.zeros((dim, grains), real),
+        np.zeros(grains, np.int32),
     )
     return pairs, history, grid
 
 
 @kernel
 def box_heights(box):
-    """Distances between opposite sides of the box, m: (height 0, height 1)."""
-    area = abs(box[0, 0] * box[1, 1] - box[0, 1] * box[1, 0])
-    return area / np.hypot(box[0, 1], box[1, 1]), area / np.hypot(box[0, 0], box[1, 0])
-
-
-@kernel
-def squares_along(height, reach, most):
-    """Number of grid squares across the box, 1 where the 3 x 3 stencil would meet itself."""
-    squares = min(int(height / reach), most)
-    return squares if squares >= 3 else 1
-
-
-@kernel
-def square_of(coordinate, squares):
-    """Grid square of a reduced coordinate, which may lie outside [0, 1[."""
-    return min(int((coordinate - np.floor(coordinate)) * squares), squares - 1)
+    """Distances between opposite sides of the box (d,), m."""
+    inverse = np.linalg.inv(box)
+    return 1.0 / np.sqrt((inverse * inverse).sum(1))
 
 
 @kernel
@@ -94,57 +96,111 @@ def build(box, position, radius, inverse_mass, constant, modulus, viscosity, ski
 
     Returns the number of pairs, or -1 where `pairs` has no room for them.
     """
-    grains = radius.size
-    reach = 2.0 * radius.max() + skin
-    height_0, height_1 = box_heights(box)
-    most = int(np.sqrt(grid.head.size))
-    nx, ny = squares_along(height_0, reach, most), squares_along(height_1, reach, most)
-    grid.head[: nx * ny] = -1
-    for i in range(grains - 1, -1, -1):
-        square = square_of(position[0, i], nx) * ny + square_of(position[1, i], ny)
-        grid.following[i] = grid.head[square]
-        grid.head[square] = i
-    reach_x, reach_y = (1 if nx > 1 else 0), (1 if ny > 1 else 0)
-    count = 0
-    for i in range(grains):
-        pairs.first[i] = count
-        column, row = square_of(position[0, i], nx), square_of(position[1, i], ny)
-        for a in range(column - reach_x, column + reach_x + 1):
-            for b in range(row - reach_y, row + reach_y + 1):
-                j = grid.head[((a + nx) % nx) * ny + (b + ny) % ny]
-                while j >= 0:
-                    if j > i:
-                        if count == pairs.i.size:
-                            return -1
-                        count += add_pair(i, j, count, box, position, radius, skin, pairs)
-                    j = grid.following[j]
-    pairs.first[grains] = count
+    cells = fill_grid(box, position, 2.0 * radius.max() + skin, grid)
+    count = search(box, position, radius, skin, cells, pairs, grid)
+    if count < 0:
+        return count
+    pairs.tangential[:, :count] = 0.0
     for c in range(count):
         i, j = pairs.i[c], pairs.j[c]
+        pairs.reach[c] = radius[i] + radius[j]
         pairs.stiffness[c] = normal_stiffness(radius[i], radius[j], constant, modulus)
         if viscosity is not None:
             reduced_mass = 1.0 / (inverse_mass[i] + inverse_mass[j])
             pairs.dashpot[c] = 2.0 * viscosity * np.sqrt(pairs.stiffness[c] * reduced_mass)
+    point_along_branches(count, box, position, pairs, pairs.normal)
     pairs.anchor[:] = position
     pairs.anchor_box[:] = box
     return count
 
 
 @kernel
-def add_pair(i, j, c, box, position, radius, skin, pairs):
-    """Write pair (i, j) at place c if its nearest images are close enough; returns 1 or 0."""
-    sx, sy = position[0, j] - position[0, i], position[1, j] - position[1, i]
-    shift_x, shift_y = -np.rint(sx), -np.rint(sy)
-    sx, sy = sx + shift_x, sy + shift_y
-    bx, by = box[0, 0] * sx + box[0, 1] * sy, box[1, 0] * sx + box[1, 1] * sy
-    reach = radius[i] + radius[j]
-    if bx * bx + by * by >= (reach + skin) ** 2:
-        return 0
-    pairs.i[c], pairs.j[c] = i, j
-    pairs.shift[0, c], pairs.shift[1, c] = shift_x, shift_y
-    pairs.reach[c] = reach
-    pairs.tangential[c] = 0.0
-    return 1
+def point_along_branches(count, box, position, pairs, normal):
+    """Set the normals that turn the tangential forces of spheres in the first step to come."""
+    if normal is not None:
+        for c in range(count):
+            i, j = pairs.i[c], pairs.j[c]
+            squared = 0.0
+            for a in range(3):
+                normal[a, c] = 0.0
+                for b in range(3):
+                    normal[a, c] += box[a, b] * (
+                        position[b, j] - position[b, i] + pairs.shift[b, c]
+                    )
+                squared += normal[a, c] ** 2
+            for a in range(3):
+                normal[a, c] /= np.sqrt(squared)
+
+
+@kernel
+def fill_grid(box, position, reach, grid):
+    """Sort the grains into cells no narrower than `reach`; numbers of cells along the box (d,)."""
+    dim, grains = position.shape
+    heights = box_heights(box)
+    most = int(grid.head.size ** (1.0 / dim) + 1e-9)
+    cells = np.empty(dim, np.int64)
+    total = 1
+    for a in range(dim):
+        cells[a] = max(1, min(most, int(heights[a] / reach)))
+        total *= cells[a]
+    grid.head[:total] = -1
+    for i in range(grains - 1, -1, -1):
+        number = 0
+        for a in range(dim):
+            wrapped = position[a, i] - np.floor(position[a, i])
+            grid.cell[a, i] = min(int(wrapped * cells[a]), cells[a] - 1)
+            number = number * cells[a] + grid.cell[a, i]
+        for a in range(dim):
+            grid.place[a, i] = 0.0
+            for b in range(dim):
+                grid.place[a, i] += box[a, b] * (position[b, i] - np.floor(position[b, i]))
+        grid.following[i] = grid.head[number]
+        grid.head[number] = i
+    return cells
+
+
+@kernel
+def search(box, position, radius, skin, cells, pairs, grid):
+    """Pairs of each grain with grains of its own and all neighbouring cells, or -1: no room.
+
+    A neighbour beyond the border is an image of the cell on the other side, so that few cells
+    along the box, or one, need no special care.
+    """
+    dim, grains = position.shape
+    image, offset = np.empty(dim), np.empty(dim)
+    count = 0
+    for i in range(grains):
+        pairs.first[i] = count
+        for neighbour in range(3**dim):
+            number, code = 0, neighbour
+            for a in range(dim):
+                cell = grid.cell[a, i] + code % 3 - 1
+                code //= 3
+                image[a] = -1.0 if cell < 0 else (1.0 if cell >= cells[a] else 0.0)
+                number = number * cells[a] + cell - int(image[a]) * cells[a]
+            j = grid.head[number]
+            if j < 0:
+                continue
+            for a in range(dim):
+                offset[a] = -grid.place[a, i]
+                for b in range(dim):
+                    offset[a] += box[a, b] * image[b]
+            while j >= 0:
+                if j > i:
+                    squared = 0.0
+                    for a in range(dim):
+                        squared += (grid.place[a, j] + offset[a]) ** 2
+                    if squared < (radius[i] + radius[j] + skin) ** 2:
+                        if count == pairs.i.size:
+                            return -1
+                        pairs.i[count], pairs.j[count] = i, j
+                        for a in range(dim):
+                            wraps = np.floor(position[a, i]) - np.floor(position[a, j])
+                            pairs.shift[a, count] = image[a] + wraps
+                        count += 1
+                j = grid.following[j]
+    pairs.first[grains] = count
+    return count
 
 
 @kernel
@@ -155,39 +211,59 @@ def outdated(box, position, longest_reach, skin, pairs):
     with F the box's own deformation and d the reduced displacements, hence no shorter than
     s |b0| - 2 max |h d| with s the smallest singular value of F.
     """
-    h00, h01, h10, h11 = box[0, 0], box[0, 1], box[1, 0], box[1, 1]
+    dim, grains = position.shape
     largest = 0.0
-    for i in range(position.shape[1]):
-        sx, sy = position[0, i] - pairs.anchor[0, i], position[1, i] - pairs.anchor[1, i]
-        dx, dy = h00 * sx + h01 * sy, h10 * sx + h11 * sy
-        largest = max(largest, dx * dx + dy * dy)
-    shrinkage = max(1.0 - smallest_stretch(box, pairs.anchor_box), 0.0)
+    for i in range(grains):
+        squared = 0.0
+        for a in range(dim):
+            moved = 0.0
+            for b in range(dim):
+                moved += box[a, b] * (position[b, i] - pairs.anchor[b, i])
+            squared += moved * moved
+        largest = max(largest, squared)
+    shrinkage = 1.0 - smallest_stretch(box, pairs.anchor_box)
     return (2.0 * np.sqrt(largest) + shrinkage * (longest_reach + skin)) / skin
 
 
 @kernel
 def smallest_stretch(box, anchor_box):
-    """Smallest singular value of F = h h0^-1."""
-    e, f, g, h = anchor_box[0, 0], anchor_box[0, 1], anchor_box[1, 0], anchor_box[1, 1]
-    det = e * h - f * g
-    f00 = (box[0, 0] * h - box[0, 1] * g) / det
-    f01 = (box[0, 1] * e - box[0, 0] * f) / det
-    f10 = (box[1, 0] * h - box[1, 1] * g) / det
-    f11 = (box[1, 1] * e - box[1, 0] * f) / det
-    return 0.5 * (np.hypot(f00 + f11, f10 - f01) - np.hypot(f00 - f11, f10 + f01))
+    """A lower bound of the smallest singular value of F = h h0^-1, 1 at most.
+
+    s^2 is an eigenvalue of C = F^T F, and none lies further than |C - I| from 1.
+    """
+    dim = box.shape[0]
+    inverse = np.linalg.inv(anchor_box)
+    F = np.zeros((dim, dim))
+    for a in range(dim):
+        for b in range(dim):
+            for c in range(dim):
+                F[a, b] += box[a, c] * inverse[c, b]
+    squared = 0.0
+    for a in range(dim):
+        for b in range(dim):
+            strain = -1.0 if a == b else 0.0
+            for c in range(dim):
+                strain += F[c, a] * F[c, b]
+            squared += strain * strain
+    return np.sqrt(max(1.0 - np.sqrt(squared), 0.0))
 
 
 @kernel
 def remember(pairs, history):
     """Store the tangential forces of the pair list, those that are not zero."""
     grains = pairs.first.size - 1
+    components = pairs.tangential.shape[0]
     count = 0
     for i in range(grains):
         history.first[i] = count
         for c in range(pairs.first[i], pairs.first[i + 1]):
-            if pairs.tangential[c] != 0.0:
+            present = False
+            for a in range(components):
+                present |= pairs.tangential[a, c] != 0.0
+            if present:
                 history.j[count] = pairs.j[c]
-                history.tangential[count] = pairs.tangential[c]
+                for a in range(components):
+                    history.tangential[a, count] = pairs.tangential[a, c]
                 count += 1
     history.first[grains] = count
 
@@ -203,6 +279,8 @@ def recall(pairs, history, grid):
             marker[history.j[c]] = c
         for c in range(pairs.first[i], pairs.first[i + 1]):
             old = marker[pairs.j[c]]
-            pairs.tangential[c] = history.tangential[old] if old >= 0 else 0.0
+            if old >= 0:
+                for a in range(pairs.tangential.shape[0]):
+                    pairs.tangential[a, c] = history.tangential[a, old]
         for c in range(history.first[i], history.first[i + 1]):
             marker[history.j[c]] = -1

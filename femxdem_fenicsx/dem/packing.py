@@ -10,23 +10,25 @@ from .neighbours import box_heights
 
 #: Skin of the pair list as a share of the mean radius: dense packings hardly rearrange.
 SKIN = 0.08
-#: Pairs (and contacts) that there is room for, per grain; a monodisperse disk touches at most 6.
-PAIRS_PER_GRAIN, CONTACTS_PER_GRAIN = 5, 3
+#: Pairs that there is room for at first, per grain, by dimension.
+PAIRS_PER_GRAIN = {2: 5, 3: 8}
+#: Contacts that there is room for, per grain. Contacts of disks form a planar graph: 3 at most.
+CONTACTS_PER_GRAIN = {2: 3, 3: 5}
 
 
 @dataclass(frozen=True)
 class Packing:
-    """A periodic assembly of N disks at rest.
+    """A periodic assembly of N disks (d = 2) or spheres (d = 3) at rest.
 
     Attributes:
-        box: (2, 2), columns are the periodicity vectors h, m (Desrues fig. 4).
-        positions: (N, 2) reduced positions s; r = h s (eq. 13).
+        box: (d, d), columns are the periodicity vectors h, m (Desrues fig. 4).
+        positions: (N, d) reduced positions s; r = h s (eq. 13).
         radii: (N,) m.
         law: contact law.
         density: of the grains, kg/m3.
-        thickness: out of plane, m.
+        thickness: out of plane, m; 1 for spheres.
         contacts: (C, 2) pairs (i, j), i < j, that transmit a tangential force.
-        tangential: (C,) force on j along (-n_y, n_x), n from i to j, N.
+        tangential: force on j, N: for disks (C,) along (-n_y, n_x), n from i to j; for spheres (C, 3).
 
     Raises ValueError for no grains, radii or density that are not positive, a box that is turned
     inside out or so small that a grain would meet its own image, and anything not finite.
@@ -45,17 +47,23 @@ class Packing:
         for name in ("box", "positions", "radii", "tangential"):
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64))
         object.__setattr__(self, "contacts", np.array(self.contacts, dtype=np.int32))
+        if self.dim == 3 and self.tangential.size == 0:
+            object.__setattr__(self, "tangential", np.zeros((0, 3)))
         self._check()
 
     def _check(self):
-        size = self.radii.size
+        size, dim, contacts = self.radii.size, self.dim, len(self.tangential)
         shapes = {
-            "box": (2, 2),
-            "positions": (size, 2),
+            "box": (dim, dim),
+            "positions": (size, dim),
             "radii": (size,),
-            "contacts": (self.tangential.size, 2),
-            "tangential": (self.tangential.size,),
+            "contacts": (contacts, 2),
+            "tangential": (contacts,) if dim == 2 else (contacts, 3),
         }
+        if dim not in (2, 3):
+            raise ValueError(f"Packing: the box has {dim} rows; grains live in 2 or 3 dimensions")
+        if dim == 3 and self.thickness != 1.0:
+            raise ValueError("Packing: spheres have no thickness; leave it at 1")
         if size == 0:
             raise ValueError("Packing: it has no grains")
         for name, shape in shapes.items():
@@ -70,7 +78,7 @@ class Packing:
         if not (self.density > 0 and self.thickness > 0):
             raise ValueError("Packing: density and thickness must be positive")
         if not np.linalg.det(self.box) > 0:
-            raise ValueError("Packing: the box has no positive area")
+            raise ValueError("Packing: the box has no positive volume")
         if len(self.contacts) and not (
             (self.contacts[:, 0] >= 0).all()
             and (self.contacts[:, 0] < self.contacts[:, 1]).all()
@@ -85,8 +93,8 @@ class Packing:
 
     @property
     def dim(self) -> int:
-        """Space dimension."""
-        return 2
+        """Space dimension d."""
+        return len(self.box)
 
     @property
     def size(self) -> int:
@@ -96,7 +104,14 @@ class Packing:
     @property
     def masses(self) -> np.ndarray:
         """(N,) kg."""
-        return self.density * self.thickness * np.pi * self.radii**2
+        return self.density * self.grain_volumes
+
+    @property
+    def grain_volumes(self) -> np.ndarray:
+        """(N,) m3."""
+        if self.dim == 2:
+            return np.pi * self.radii**2 * self.thickness
+        return 4.0 / 3.0 * np.pi * self.radii**3
 
     @property
     def volume(self) -> float:
@@ -106,7 +121,7 @@ class Packing:
     @property
     def void_ratio(self) -> float:
         """Volume of voids over volume of grains; overlaps count as grain twice."""
-        return float(np.linalg.det(self.box) / (np.pi * (self.radii**2).sum()) - 1.0)
+        return float(self.volume / self.grain_volumes.sum() - 1.0)
 
     @property
     def mean_diameter(self) -> float:
@@ -119,24 +134,27 @@ class Packing:
         return Material(
             self.radii,
             1.0 / self.masses,
+            1.0 / self.radii if self.dim == 3 else None,
             *self.law.stiffnesses,
             float(self.law.stiffness_ratio),
             *self.law.features,
+            *(self.law.turning if self.dim == 3 else (None, None)),
             SKIN * float(self.radii.mean()),
         )
 
     @property
     def contact_modulus(self) -> float:
-        """k_n / thickness of a mean contact, Pa: the scale of the packing's stiffness."""
+        """k_n of a mean contact over thickness or mean radius, Pa: the packing's stiffness scale."""
         constant, modulus = self.law.stiffnesses
-        return (constant + modulus * float(self.radii.mean())) / self.thickness
+        radius = float(self.radii.mean())
+        return (constant + modulus * radius) / (self.thickness if self.dim == 2 else radius)
 
     def but(self, **changes) -> "Packing":
         """A copy with some attributes changed."""
         return replace(self, **changes)
 
     def deformed(self, F: np.ndarray) -> "Packing":
-        """The packing moved affinely by F (2, 2): nothing but the box changes."""
+        """The packing moved affinely by F (d, d): nothing but the box changes."""
         return self.but(box=np.asarray(F) @ self.box)
 
 
@@ -145,10 +163,11 @@ class PackingBatch:
     """B packings that differ in state but share grain sizes, contact law and density.
 
     Attributes, all contiguous, first index the packing:
-        box (B, 2, 2), position (B, 2, N): where the grains are;
-        flow (B, 3, N), flow_gradient (B, 2, 2): how they moved when they were last loaded, that is
-            velocities beyond the affine motion and rim speed (m/s), and the L that caused it (1/s);
-        row (B, N + 1), second (B, C), tangential (B, C): contacts that hold a tangential force,
+        box (B, d, d), position (B, d, N): where the grains are;
+        flow (B, d + q, N), flow_gradient (B, d, d): how they moved when they were last loaded, that
+            is velocities beyond the affine motion and rim velocities (m/s), and the L that caused
+            it (1/s); q = 1 in 2D, 3 in 3D;
+        row (B, N + 1), second (B, C), tangential (B, q, C): contacts that hold a tangential force,
             in compressed rows (`neighbours.History`).
         template: the packing that gives radii, contact law, density and thickness.
     """
@@ -169,17 +188,18 @@ class PackingBatch:
         """`size` copies of one packing; ValueError where size is negative."""
         if size < 0:
             raise ValueError(f"PackingBatch: size must not be negative, got {size}")
-        N = packing.size
-        room = CONTACTS_PER_GRAIN * N
+        N, d = packing.size, packing.dim
+        q = 1 if d == 2 else 3
+        room = CONTACTS_PER_GRAIN[d] * N
         batch = cls(
             packing,
-            np.zeros((size, 2, 2)),
-            np.zeros((size, 2, N)),
-            np.zeros((size, 3, N)),
-            np.zeros((size, 2, 2)),
+            np.zeros((size, d, d)),
+            np.zeros((size, d, N)),
+            np.zeros((size, d + q, N)),
+            np.zeros((size, d, d)),
             np.zeros((size, N + 1), np.uint32),
             np.zeros((size, room), np.uint32),
-            np.zeros((size, room)),
+            np.zeros((size, q, room)),
         )
         for b in range(size):
             batch.put(b, packing)
@@ -213,7 +233,7 @@ class PackingBatch:
         self.flow_gradient[b] = 0.0
         self.row[b] = np.searchsorted(pairs[:, 0], np.arange(packing.size + 1))
         self.second[b, :count] = pairs[:, 1]
-        self.tangential[b, :count] = packing.tangential[order]
+        self.tangential[b, :, :count] = packing.tangential[order].T
 
     def packing(self, b: int) -> Packing:
         """Number b on its own."""
@@ -224,5 +244,7 @@ class PackingBatch:
             box=self.box[b],
             positions=self.position[b].T,
             contacts=np.column_stack([first, self.second[b, :count]]),
-            tangential=self.tangential[b, :count],
+            tangential=self.tangential[b, :, :count].T.squeeze(1)
+            if self.template.dim == 2
+            else self.tangential[b, :, :count].T,
         )

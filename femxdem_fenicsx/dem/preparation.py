@@ -30,7 +30,8 @@ def random_packing(
     compaction_friction: float = 0.0,
     seed: int = 1,
     density: float = 2650.0,
-    thickness: float = 0.1,
+    thickness: float | None = None,
+    dim: int = 2,
     tolerance: float = 1e-3,
     progress: Callable[[float], None] | None = None,
 ) -> Packing:
@@ -45,7 +46,8 @@ def random_packing(
             a dense packing, more a looser one.
         seed: of the random numbers; same seed, same packing.
         density: of the grains, kg/m3.
-        thickness: out of plane, m.
+        thickness: out of plane, m; 0.1 m by default for disks, spheres have none.
+        dim: 2 for disks, 3 for spheres.
         tolerance: on every stress component over the pressure, and on Desrues eq. 19.
         progress: called now and then with the pressure reached over the pressure wanted.
 
@@ -60,24 +62,28 @@ def random_packing(
         raise ValueError(f"radii: need 0 < smallest <= largest (m), got {radii[0]} and {radii[1]}")
     if not 0 < pressure < np.inf:
         raise ValueError(f"pressure: must be positive (Pa), got {pressure}")
+    if dim not in (2, 3):
+        raise ValueError(f"a packing has 2 or 3 dimensions, not {dim}")
+    if thickness is None:
+        thickness = 0.1 if dim == 2 else 1.0
     rng = np.random.default_rng(seed)
     compaction_law = replace(law, friction=compaction_friction, cohesion=0.0)
-    dilute = _dilute(grains, radii, compaction_law, density, thickness, rng)
+    dilute = _dilute(grains, dim, radii, compaction_law, density, thickness, rng)
     compacted = compress(dilute, pressure, tolerance, rng, progress)
     return settle(compacted.but(law=law), pressure, tolerance)
 
 
-def _dilute(grains, radii, law, density, thickness, rng) -> Packing:
+def _dilute(grains, dim, radii, law, density, thickness, rng) -> Packing:
     """Grains on randomly chosen places of a square lattice that is too wide for any contact."""
-    columns = int(np.ceil(np.sqrt(grains)))
-    rows = int(np.ceil(grains / columns))
-    places = np.stack(np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"), -1)
-    places = rng.permutation(places.reshape(-1, 2))[:grains]
+    columns = np.full(dim, int(np.ceil(grains ** (1 / dim) - 1e-9)))
+    columns[-1] = int(np.ceil(grains / np.prod(columns[:-1])))
+    places = np.stack(np.meshgrid(*map(np.arange, columns), indexing="ij"), -1)
+    places = rng.permutation(places.reshape(-1, dim))[:grains]
     spacing = 2.1 * radii[1]
     sizes = rng.uniform(radii[0], radii[1], grains)
-    jitter = rng.uniform(-0.02, 0.02, (grains, 2))
-    positions = (places + 0.5 + jitter) / (columns, rows)
-    box = np.diag([columns, rows]) * spacing
+    jitter = rng.uniform(-0.02, 0.02, (grains, dim))
+    positions = (places + 0.5 + jitter) / columns
+    box = np.diag(columns) * spacing
     return Packing(box, positions, sizes, law, density, thickness)
 
 
@@ -103,14 +109,14 @@ def compress(
         work.motion.velocity[:] = 0.3 * speed * rng.normal(size=work.motion.velocity.shape)
     fastest = 1e-2 * speed / packing.mean_diameter
     dt = 0.5 * stable_time_step(packing.but(contacts=np.zeros((0, 2)), tangential=[]))
-    rate, stress, fabric = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((2, 2))
+    rate, stress, fabric = np.zeros((3, packing.dim, packing.dim))
     for block in range(MOST_BLOCKS):
         _must(dynamics.advance(BLOCK, dt, rate, DAMPING, material, work))
         contacts, _ = measure(
             work.motion, work.pairs, material.cohesion, packing.thickness, stress, fabric
         )
         net, force = dynamics.unbalance(work)
-        excess = stress + pressure * np.eye(2)
+        excess = stress + pressure * np.eye(packing.dim)
         if np.abs(excess).max() < tolerance * pressure and net < tolerance * force:
             return packing_of(packing, work)
         stiffness = max(contacts, 1) / packing.size * packing.contact_modulus
@@ -133,7 +139,10 @@ def workspace_of(packing: Packing) -> dynamics.Workspace:
     """A work space with this packing, its contacts and its pair list."""
     material = packing.material
     work = dynamics.workspace(
-        packing.size, 4 * PAIRS_PER_GRAIN * packing.size, material.viscosity is not None
+        packing.size,
+        packing.dim,
+        4 * PAIRS_PER_GRAIN[packing.dim] * packing.size,
+        material.viscosity is not None,
     )
     work.motion.box[:] = packing.box
     work.motion.position[:] = packing.positions.T
@@ -141,7 +150,7 @@ def workspace_of(packing: Packing) -> dynamics.Workspace:
     pairs = packing.contacts[order]
     work.history.first[:] = np.searchsorted(pairs[:, 0], np.arange(packing.size + 1))
     work.history.j[: len(pairs)] = pairs[:, 1]
-    work.history.tangential[: len(pairs)] = packing.tangential[order]
+    work.history.tangential[:, : len(pairs)] = packing.tangential[order].T
     _must(dynamics.start(material, work))
     return work
 
@@ -158,7 +167,9 @@ def packing_of(packing: Packing, work: dynamics.Workspace) -> Packing:
         box=work.motion.box,
         positions=positions - np.floor(positions),
         contacts=contacts,
-        tangential=work.history.tangential[: row[-1]],
+        tangential=work.history.tangential[0, : row[-1]]
+        if packing.dim == 2
+        else work.history.tangential[:, : row[-1]].T,
     )
 
 

@@ -40,13 +40,13 @@ class Response:
         self.material = packing.material
         self.threads = threads
         self._spaces: deque[Workspace] = deque()
-        self._capacity = PAIRS_PER_GRAIN * packing.size
+        self._capacity = PAIRS_PER_GRAIN[packing.dim] * packing.size
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
         contacts = touching(packing)
         initial = stress(packing, contacts)
         confining = max(float(pressure_of(initial)), 1e-6 * packing.contact_modulus)
         self.loading = settings(packing, accuracy, confining)
-        self.committed_outcome = Outcome.of(size)
+        self.committed_outcome = Outcome.of(size, packing.dim)
         self.committed_outcome.stress[:] = initial
         self.committed_outcome.fabric[:] = fabric(contacts)
         self.committed_outcome.contacts[:] = len(contacts.pairs)
@@ -60,7 +60,7 @@ class Response:
         return self.committed.size
 
     def deform(self, F: np.ndarray) -> Outcome:
-        """Trial state at F (B, 2, 2) relative to the committed state; what was measured there.
+        """Trial state at F (B, d, d) relative to the committed state; what was measured there.
 
         Raises ValueError for an F that is not a deformation (see `loading.logarithm`) and
         FloatingPointError for a packing that collapses.
@@ -71,7 +71,7 @@ class Response:
         return self.outcome
 
     def probe(self, F: np.ndarray, packings: np.ndarray) -> Outcome:
-        """What packings (n,) would answer to F (n, 2, 2); the trial state stays as it is."""
+        """What packings (n,) would answer to F (n, d, d); the trial state stays as it is."""
         return self._run(F, packings, None)
 
     def commit(self) -> None:
@@ -90,7 +90,7 @@ class Response:
         F = np.ascontiguousarray(F, dtype=np.float64)
         log_F = logarithm(F)
         shear = shear_of(log_F)
-        outcome = Outcome.of(len(packings))
+        outcome = Outcome.of(len(packings), self.committed.template.dim)
         state = self.committed.state
 
         def one(row: int) -> None:
@@ -145,4 +145,5 @@ class Response:
 
     def _new_workspace(self) -> Workspace:
         viscous = self.material.viscosity is not None
-        return workspace(self.committed.template.size, self._capacity, viscous)
+        packing = self.committed.template
+        return workspace(packing.size, packing.dim, self._capacity, viscous)

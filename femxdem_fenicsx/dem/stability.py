@@ -19,30 +19,41 @@ def stable_time_step(packing: Packing) -> float:
         return _dilute_limit(packing)
     i, j = contacts.pairs.T
     n = contacts.normals
-    t = np.column_stack([-n[:, 1], n[:, 0]])
-    kn = contacts.stiffness
+    spinning = 0.5 if packing.dim == 2 else 0.4  # inertia over m R^2
+    kn = contacts.stiffness[:, None]
     kt = packing.law.stiffness_ratio * kn if packing.law.friction > 0 else 0.0 * kn
     inverse_mass = (1.0 / packing.masses)[:, None]
     rng = np.random.default_rng(0)
-    velocity, rim = rng.normal(size=(packing.size, 2)), rng.normal(size=packing.size)
+    velocity = rng.normal(size=(packing.size, packing.dim))
+    rim = rng.normal(size=(packing.size, 3)) * (1.0 if packing.dim == 3 else [0.0, 0.0, 1.0])
     value = 0.0
     for _ in range(2000):
-        relative = velocity[j] - velocity[i]
-        normal = kn * (relative * n).sum(1)
-        tangent = kt * ((relative * t).sum(1) - rim[i] - rim[j])
-        force = normal[:, None] * n + tangent[:, None] * t
+        along = ((velocity[j] - velocity[i]) * n).sum(1)[:, None] * n
+        slip = velocity[j] - velocity[i] - along - _cross(rim[i] + rim[j], n)
+        force, moment = kn * along + kt * slip, kt * _cross(n, slip)
         velocity, rim = np.zeros_like(velocity), np.zeros_like(rim)
         np.add.at(velocity, j, force)
         np.subtract.at(velocity, i, force)
-        np.subtract.at(rim, i, tangent)
-        np.subtract.at(rim, j, tangent)
+        np.subtract.at(rim, i, moment)
+        np.subtract.at(rim, j, moment)
         velocity *= inverse_mass
-        rim *= 2.0 * inverse_mass[:, 0]
+        rim *= inverse_mass / spinning
         last, value = value, np.sqrt((velocity**2).sum() + (rim**2).sum())
         velocity, rim = velocity / value, rim / value
         if abs(value - last) < 1e-5 * value:
             break
     return float(2.0 / np.sqrt(value))
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a x b: of a spin (n, 3) and a vector in the plane (n, 2) a vector in it; of two such, a spin."""
+    if b.shape[1] == 3 and a.shape[1] == 3:
+        return np.cross(a, b)
+    if a.shape[1] == 3:
+        return a[:, 2:] * np.column_stack([-b[:, 1], b[:, 0]])
+    product = np.zeros((len(a), 3))
+    product[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return product
 
 
 def _dilute_limit(packing: Packing) -> float:

@@ -1,6 +1,6 @@
 """Tangent operators C = d sigma / d F of a batch of packings (Argilaga sections 3-5).
 
-An operator takes the response and the last trial F (B, 2, 2) and returns C (B, 2, 2, 2, 2), Pa,
+An operator takes the response and the last trial F (B, d, d) and returns C (B, d, d, d, d), Pa,
 the derivative of the stress by F's last motion, d sigma = C : (dF F^-1); see `OPERATORS`.
 """
 
@@ -19,9 +19,11 @@ LEAST_PERTURBATION = 1e-5
 def upper_bound_kruyt(response: Response, F: np.ndarray) -> np.ndarray:
     """UKO: all grains follow the strain, contacts are elastic (Argilaga eq. 13, Guo-Zhao eq. 9).
 
-    C = 1/V sum l^2 (k_n e e e e + k_t t e t e) over the contacts of the latest state.
+    C = 1/V sum l^2 (k_n e e e e + k_t t e t e) over the contacts of the latest state; in 3D with
+    both tangents, that is k_t (I - e e) for t t (Desrues eq. 33).
     """
-    C = np.zeros((response.size, 2, 2, 2, 2))
+    dim = F.shape[-1]
+    C = np.zeros((response.size, dim, dim, dim, dim))
 
     def one(b: int) -> None:
         response.with_workspace(
@@ -44,41 +46,44 @@ def _uko(b, state, material, work, C):
     if count < 0:
         return dynamics.NO_ROOM
     c = C[b]
-    e, t = np.empty(2), np.empty(2)
+    dim = box.shape[0]
+    e = np.empty(dim)
     for k in range(count):
         i, j = pairs.i[k], pairs.j[k]
-        sx = position[0, j] - position[0, i] + pairs.shift[0, k]
-        sy = position[1, j] - position[1, i] + pairs.shift[1, k]
-        e[0], e[1] = box[0, 0] * sx + box[0, 1] * sy, box[1, 0] * sx + box[1, 1] * sy
-        t[0], t[1] = -e[1], e[0]
-        squared = e[0] ** 2 + e[1] ** 2
-        kn = pairs.stiffness[k] / squared
+        squared = 0.0
+        for p in range(dim):
+            e[p] = 0.0
+            for q in range(dim):
+                e[p] += box[p, q] * (position[q, j] - position[q, i] + pairs.shift[q, k])
+            squared += e[p] ** 2
+        kn = pairs.stiffness[k]
         kt = 0.0 if material.friction is None else material.stiffness_ratio * kn
-        for p in range(2):
-            for q in range(2):
-                for r in range(2):
-                    for s in range(2):
-                        c[p, q, r, s] += (kn * e[p] * e[r] + kt * t[p] * t[r]) * e[q] * e[s]
-    c /= box[0, 0] * box[1, 1] - box[0, 1] * box[1, 0]
+        for p in range(dim):
+            for r in range(dim):
+                directed = (kn - kt) * e[p] * e[r] / squared + (kt if p == r else 0.0)
+                for q in range(dim):
+                    for s in range(dim):
+                        c[p, q, r, s] += directed * e[q] * e[s]
+    c /= abs(np.linalg.det(box))
     return dynamics.OK
 
 
 def consistent_tangent(response: Response, F: np.ndarray) -> np.ndarray:
-    """CTO: four perturbed evaluations of the whole increment (Argilaga eq. 6, Guo-Zhao eq. 8).
+    """CTO: four (in 3D nine) perturbed evaluations of the whole increment (Argilaga eq. 6, Guo-Zhao eq. 8).
 
     The perturbation is the step's own strain at each point, so that contacts slide in it as they
     do in the step; an infinitesimal one sees an elastic packing.
     """
-    B = response.size
-    size = np.maximum(np.linalg.norm(F - np.eye(2), axis=(1, 2)), LEAST_PERTURBATION)
-    packings = np.repeat(np.arange(B), 4)
-    directions = np.eye(4).reshape(4, 2, 2)
-    motion = np.eye(2) + size[:, None, None, None] * directions
+    B, d = response.size, F.shape[-1]
+    size = np.maximum(np.linalg.norm(F - np.eye(d), axis=(1, 2)), LEAST_PERTURBATION)
+    packings = np.repeat(np.arange(B), d * d)
+    directions = np.eye(d * d).reshape(d * d, d, d)
+    motion = np.eye(d) + size[:, None, None, None] * directions
     base = response.outcome.stress
-    perturbed = response.probe((motion @ F[:, None]).reshape(-1, 2, 2), packings)
-    change = perturbed.stress.reshape(B, 4, 2, 2) - base[:, None]
+    perturbed = response.probe((motion @ F[:, None]).reshape(-1, d, d), packings)
+    change = perturbed.stress.reshape(B, d * d, d, d) - base[:, None]
     C = change / size[:, None, None, None]
-    return np.moveaxis(C, 1, -1).reshape(B, 2, 2, 2, 2)
+    return np.moveaxis(C, 1, -1).reshape(B, d, d, d, d)
 
 
 #: Tangent operators by name: the registry that `--operator` chooses from.
