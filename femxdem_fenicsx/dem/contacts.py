@@ -5,7 +5,6 @@ from math import isfinite
 
 from .aliasing import kernel
 
-
 #: Schemes of the tangential force: Desrues eq. 24 (the variant used there), eq. 10, eq. 12.
 SCHEMES = ("semi-explicit", "projection", "implicit")
 

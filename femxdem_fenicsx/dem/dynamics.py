@@ -104,68 +104,66 @@ def advance(steps, dt, gradient, damping, material, work):
 
     Returns OK, or NO_ROOM where the pair list is too small for the motion.
     """
-    motion, pairs = work.motion, work.pairs
+    return march(steps, dt, gradient, damping, material, work, material.inverse_radius)
+
+
+@kernel
+def march(steps, dt, gradient, damping, material, work, inverse_radius):
+    """`advance`, compiled for disks where `inverse_radius` is None and for spheres otherwise."""
+    motion, forces, pairs = work.motion, work.forces, work.pairs
+    box, x, v, w = motion.box, motion.position, motion.velocity, motion.rim_velocity
     growth = step_growth(gradient, dt)
     longest_reach = 2.0 * material.radius.max()
     look = 0
     for step in range(steps):
         if step >= look:
-            used = neighbours.outdated(
-                motion.box, motion.position, longest_reach, material.skin, pairs
-            )
+            used = neighbours.outdated(box, x, longest_reach, material.skin, pairs)
             if used > 0.5:
                 neighbours.remember(pairs, work.history)
                 if start(material, work) != OK:
                     return NO_ROOM
                 used = 0.0
             slack = (1.0 - used) * material.skin
-            look = step + blind_run(motion.velocity, gradient, longest_reach, dt, slack)
-        take_step(dt, gradient, damping, material, work, material.inverse_radius)
-        deform_box(motion.box, growth)
+            look = step + blind_run(v, gradient, longest_reach, dt, slack)
+        if inverse_radius is None:
+            disks.pair_forces(
+                pairs.first[-1], box, gradient, dt, x[0], x[1], v[0], v[1], w[0],
+                pairs.i, pairs.j, pairs.shift[0], pairs.shift[1], pairs.reach, pairs.stiffness,
+                pairs.dashpot, pairs.tangential[0], material.stiffness_ratio, material.friction,
+                material.cohesion, material.viscosity,
+                forces.pair[0], forces.pair[1], forces.pair_moment[0],
+            )  # fmt: skip
+            disks.sum_forces(
+                pairs.first, pairs.j, forces.pair[0], forces.pair[1], forces.pair_moment[0],
+                material.friction, forces.grain,
+            )  # fmt: skip
+            disks.move(
+                box, dt, damping, material.inverse_mass, forces.grain, material.friction,
+                x[0], x[1], v[0], v[1], w[0],
+            )  # fmt: skip
+        else:
+            spheres.pair_forces(
+                pairs.first[-1], box, gradient, dt,
+                x[0], x[1], x[2], v[0], v[1], v[2], w[0], w[1], w[2], inverse_radius,
+                pairs.i, pairs.j, pairs.shift[0], pairs.shift[1], pairs.shift[2],
+                pairs.reach, pairs.stiffness, pairs.dashpot,
+                pairs.tangential[0], pairs.tangential[1], pairs.tangential[2],
+                pairs.normal[0], pairs.normal[1], pairs.normal[2], material.stiffness_ratio,
+                material.friction, material.cohesion, material.viscosity, material.projected,
+                material.implicit, forces.pair[0], forces.pair[1], forces.pair[2],
+                forces.pair_moment[0], forces.pair_moment[1], forces.pair_moment[2],
+            )  # fmt: skip
+            spheres.sum_forces(
+                pairs.first, pairs.j, forces.pair[0], forces.pair[1], forces.pair[2],
+                forces.pair_moment[0], forces.pair_moment[1], forces.pair_moment[2],
+                material.friction, forces.grain,
+            )  # fmt: skip
+            spheres.move(
+                box, dt, damping, material.inverse_mass, forces.grain, material.friction,
+                x[0], x[1], x[2], v[0], v[1], v[2], w[0], w[1], w[2],
+            )  # fmt: skip
+        deform_box(box, growth)
     return OK
-
-
-@kernel
-def take_step(dt, gradient, damping, material, work, inverse_radius):
-    """Forces, sums and motion of one step; the box stays as it is."""
-    motion, forces, pairs = work.motion, work.forces, work.pairs
-    x, v, w = motion.position, motion.velocity, motion.rim_velocity
-    if inverse_radius is None:
-        disks.pair_forces(
-            pairs.first[-1], motion.box, gradient, dt, x[0], x[1], v[0], v[1], w[0],
-            pairs.i, pairs.j, pairs.shift[0], pairs.shift[1], pairs.reach, pairs.stiffness,
-            pairs.dashpot, pairs.tangential[0], material.stiffness_ratio, material.friction,
-            material.cohesion, material.viscosity,
-            forces.pair[0], forces.pair[1], forces.pair_moment[0],
-        )  # fmt: skip
-        disks.sum_forces(
-            pairs.first, pairs.j, forces.pair[0], forces.pair[1], forces.pair_moment[0],
-            material.friction, forces.grain,
-        )  # fmt: skip
-        disks.move(
-            motion.box, dt, damping, material.inverse_mass, forces.grain, material.friction,
-            x[0], x[1], v[0], v[1], w[0],
-        )  # fmt: skip
-    else:
-        m = forces.pair_moment
-        spheres.pair_forces(
-            pairs.first[-1], motion.box, gradient, dt,
-            x[0], x[1], x[2], v[0], v[1], v[2], w[0], w[1], w[2], inverse_radius,
-            pairs.i, pairs.j, pairs.shift[0], pairs.shift[1], pairs.shift[2],
-            pairs.reach, pairs.stiffness, pairs.dashpot,
-            pairs.tangential[0], pairs.tangential[1], pairs.tangential[2],
-            pairs.normal[0], pairs.normal[1], pairs.normal[2], material.stiffness_ratio,
-            material.friction, material.cohesion, material.viscosity, material.projected,
-            material.implicit, forces.pair[0], forces.pair[1], forces.pair[2], m[0], m[1], m[2],
-        )  # fmt: skip
-        spheres.sum_forces(
-            pairs.first, pairs.j, forces.pair[0], forces.pair[1], forces.pair[2],
-            m[0], m[1], m[2], material.friction, forces.grain,
-        )  # fmt: skip
-        spheres.move(
-            motion.box, dt, damping, material.inverse_mass, forces.grain, material.friction,
-            x[0], x[1], x[2], v[0], v[1], v[2], w[0], w[1], w[2],
-        )  # fmt: skip
 
 
 @kernel
@@ -207,8 +205,16 @@ def product(a, b):
 
 @kernel
 def deform_box(box, growth):
-    """h <- h + growth h."""
-    box += product(growth, box)
+    """h <- h + growth h, without a temporary array: this is called every step."""
+    for b in range(box.shape[1]):
+        x, y, z = box[0, b], box[1, b], 0.0
+        if box.shape[0] == 3:
+            z = box[2, b]
+            box[0, b] += growth[0, 2] * z
+            box[1, b] += growth[1, 2] * z
+            box[2, b] += growth[2, 0] * x + growth[2, 1] * y + growth[2, 2] * z
+        box[0, b] += growth[0, 0] * x + growth[0, 1] * y
+        box[1, b] += growth[1, 0] * x + growth[1, 1] * y
 
 
 @kernel

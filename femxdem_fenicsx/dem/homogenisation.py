@@ -116,8 +116,8 @@ def elastic_energy(packing: Packing, contacts: Contacts | None = None) -> float:
     energy = 0.5 * (contacts.stiffness * contacts.overlaps**2).sum()
     if packing.law.friction > 0 and packing.law.stiffness_ratio > 0:
         kt = packing.law.stiffness_ratio * contacts.stiffness
-        squared = (contacts.tangential.reshape(len(kt), -1) ** 2).sum(1)
-        energy += 0.5 * (squared / kt).sum()
+        squared = tangential_vectors(contacts.normals, contacts.tangential) ** 2
+        energy += 0.5 * (squared.sum(1) / kt).sum()
     return float(energy)
 
 
@@ -130,19 +130,21 @@ def measure(motion, pairs, cohesion, thickness, stress, fabric):
     """
     box, position = motion.box, motion.position
     dim = box.shape[0]
-    branch, force = np.empty(dim), np.empty(dim)
+    branch, force = np.zeros(3), np.zeros(3)
     stress[:] = 0.0
     fabric[:] = 0.0
     contacts, overlap = 0, 0.0
     for c in range(pairs.first[-1]):
         i, j = pairs.i[c], pairs.j[c]
-        squared = 0.0
-        for a in range(dim):
-            branch[a] = 0.0
-            for b in range(dim):
-                reduced = position[b, j] - position[b, i] + pairs.shift[b, c]
-                branch[a] += box[a, b] * reduced
-            squared += branch[a] ** 2
+        x = position[0, j] - position[0, i] + pairs.shift[0, c]
+        y = position[1, j] - position[1, i] + pairs.shift[1, c]
+        branch[0], branch[1] = box[0, 0] * x + box[0, 1] * y, box[1, 0] * x + box[1, 1] * y
+        if dim == 3:
+            z = position[2, j] - position[2, i] + pairs.shift[2, c]
+            branch[0] += box[0, 2] * z
+            branch[1] += box[1, 2] * z
+            branch[2] = box[2, 0] * x + box[2, 1] * y + box[2, 2] * z
+        squared = branch[0] ** 2 + branch[1] ** 2 + branch[2] ** 2
         length = squared**0.5
         if length >= pairs.reach[c]:
             continue

@@ -49,6 +49,8 @@ class Grid(NamedTuple):
     cell: np.ndarray  # (d, N)
     place: np.ndarray  # (d, N) wrapped into the box, m
     marker: np.ndarray  # (N,)
+    stencil: np.ndarray  # ((3^d + 1) / 2, d) steps to the cell itself and half of its neighbours
+    found: np.ndarray  # (3, P) pairs in the order of the search: i, j, step of the stencil
 
 
 def allocate(grains: int, dim: int, capacity: int, viscous: bool) -> tuple[Pairs, History, Grid]:
@@ -79,6 +81,8 @@ def allocate(grains: int, dim: int, capacity: int, viscous: bool) -> tuple[Pairs
         np.zeros((dim, grains), np.int32),
         np.zeros((dim, grains), real),
         np.zeros(grains, np.int32),
+        np.array([step for step in np.ndindex(*[3] * dim) if step >= (1,) * dim]) - 1,
+        np.zeros((3, capacity), np.int32),
     )
     return pairs, history, grid
 
@@ -161,45 +165,85 @@ def fill_grid(box, position, reach, grid):
 
 @kernel
 def search(box, position, radius, skin, cells, pairs, grid):
-    """Pairs of each grain with grains of its own and all neighbouring cells, or -1: no room.
+    """Find all close pairs and sort them into rows; the number of pairs, or -1: no room."""
+    count = find_pairs(box, radius, skin, cells, grid)
+    if count < 0:
+        return count
+    first, found = pairs.first, grid.found
+    first[:] = 0
+    for c in range(count):
+        first[found[0, c] + 1] += 1
+    for i in range(radius.size):
+        first[i + 1] += first[i]
+    grid.marker[:] = 0  # pairs of the row so far
+    for c in range(count):
+        i, j = found[0, c], found[1, c]
+        place = first[i] + grid.marker[i]
+        grid.marker[i] += 1
+        pairs.i[place], pairs.j[place] = i, j
+        for a in range(position.shape[0]):
+            wraps = np.floor(position[a, i]) - np.floor(position[a, j])
+            pairs.shift[a, place] = wraps + image_of(found[2, c], a, i, cells, grid)
+    return count
+
+
+@kernel
+def image_of(step, axis, grain, cells, grid):
+    """-1, 0 or 1 boxes: where a grain's neighbour cell lies; steps count from 1, back from -1."""
+    way = grid.stencil[abs(step) - 1, axis] * (1 if step > 0 else -1)
+    cell = grid.cell[axis, grain] + way
+    return -1.0 if cell < 0 else (1.0 if cell >= cells[axis] else 0.0)
+
+
+@kernel
+def find_pairs(box, radius, skin, cells, grid):
+    """Pairs of grains of a cell, and of a cell and half of its neighbours, into `grid.found`.
 
     A neighbour beyond the border is an image of the cell on the other side, so that few cells
-    along the box, or one, need no special care.
+    along the box, or one, need no special care. Returns their number, or -1: no room.
     """
-    dim, grains = position.shape
-    image, offset = np.empty(dim), np.empty(dim)
+    dim, total = len(cells), 1
+    for a in range(dim):
+        total *= cells[a]
+    place, following, found = grid.place, grid.following, grid.found
+    offset = np.zeros(3)
     count = 0
-    for i in range(grains):
-        pairs.first[i] = count
-        for neighbour in range(3**dim):
-            number, code = 0, neighbour
+    for number in range(total):
+        head = grid.head[number]
+        if head < 0:
+            continue
+        for step in range(len(grid.stencil)):
+            other = 0
+            offset[:] = 0.0
             for a in range(dim):
-                cell = grid.cell[a, i] + code % 3 - 1
-                code //= 3
-                image[a] = -1.0 if cell < 0 else (1.0 if cell >= cells[a] else 0.0)
-                number = number * cells[a] + cell - int(image[a]) * cells[a]
-            j = grid.head[number]
-            if j < 0:
-                continue
-            for a in range(dim):
-                offset[a] = -grid.place[a, i]
-                for b in range(dim):
-                    offset[a] += box[a, b] * image[b]
-            while j >= 0:
-                if j > i:
-                    squared = 0.0
-                    for a in range(dim):
-                        squared += (grid.place[a, j] + offset[a]) ** 2
-                    if squared < (radius[i] + radius[j] + skin) ** 2:
-                        if count == pairs.i.size:
+                cell = grid.cell[a, head] + grid.stencil[step, a]
+                image = 0
+                if cell < 0:
+                    image = -1
+                elif cell >= cells[a]:
+                    image = 1
+                if image != 0:
+                    cell -= image * cells[a]
+                    for b in range(dim):
+                        offset[b] += box[b, a] * image
+                other = other * cells[a] + cell
+            i = head
+            while i >= 0:
+                j = following[i] if step == 0 else grid.head[other]
+                x, y = offset[0] - place[0, i], offset[1] - place[1, i]
+                z = offset[2] - place[2, i] if dim == 3 else 0.0
+                while j >= 0:
+                    squared = (place[0, j] + x) ** 2 + (place[1, j] + y) ** 2
+                    if dim == 3:
+                        squared += (place[2, j] + z) ** 2
+                    if squared < (radius[i] + radius[j] + skin) ** 2 and i != j:
+                        if count == found.shape[1]:
                             return -1
-                        pairs.i[count], pairs.j[count] = i, j
-                        for a in range(dim):
-                            wraps = np.floor(position[a, i]) - np.floor(position[a, j])
-                            pairs.shift[a, count] = image[a] + wraps
+                        found[0, count], found[1, count] = min(i, j), max(i, j)
+                        found[2, count] = step + 1 if i < j else -step - 1
                         count += 1
-                j = grid.following[j]
-    pairs.first[grains] = count
+                    j = following[j]
+                i = following[i]
     return count
 
 
@@ -211,26 +255,23 @@ def outdated(box, position, longest_reach, skin, pairs):
     with F the box's own deformation and d the reduced displacements, hence no shorter than
     s |b0| - 2 max |h d| with s the smallest singular value of F.
     """
-    dim, grains = position.shape
+    anchor = pairs.anchor
     largest = 0.0
-    for i in range(grains):
-        squared = 0.0
-        for a in range(dim):
-            moved = 0.0
-            for b in range(dim):
-                moved += box[a, b] * (position[b, i] - pairs.anchor[b, i])
-            squared += moved * moved
-        largest = max(largest, squared)
-    shrinkage = 1.0 - smallest_stretch(box, pairs.anchor_box)
+    for i in range(position.shape[1]):
+        x, y, z = position[0, i] - anchor[0, i], position[1, i] - anchor[1, i], 0.0
+        dx, dy, dz = box[0, 0] * x + box[0, 1] * y, box[1, 0] * x + box[1, 1] * y, 0.0
+        if position.shape[0] == 3:
+            z = position[2, i] - anchor[2, i]
+            dx, dy = dx + box[0, 2] * z, dy + box[1, 2] * z
+            dz = box[2, 0] * x + box[2, 1] * y + box[2, 2] * z
+        largest = max(largest, dx * dx + dy * dy + dz * dz)
+    shrinkage = max(1.0 - smallest_stretch(box, pairs.anchor_box), 0.0)
     return (2.0 * np.sqrt(largest) + shrinkage * (longest_reach + skin)) / skin
 
 
 @kernel
 def smallest_stretch(box, anchor_box):
-    """A lower bound of the smallest singular value of F = h h0^-1, 1 at most.
-
-    s^2 is an eigenvalue of C = F^T F, and none lies further than |C - I| from 1.
-    """
+    """Smallest singular value of F = h h0^-1."""
     dim = box.shape[0]
     inverse = np.linalg.inv(anchor_box)
     F = np.zeros((dim, dim))
@@ -238,14 +279,11 @@ def smallest_stretch(box, anchor_box):
         for b in range(dim):
             for c in range(dim):
                 F[a, b] += box[a, c] * inverse[c, b]
-    squared = 0.0
-    for a in range(dim):
-        for b in range(dim):
-            strain = -1.0 if a == b else 0.0
-            for c in range(dim):
-                strain += F[c, a] * F[c, b]
-            squared += strain * strain
-    return np.sqrt(max(1.0 - np.sqrt(squared), 0.0))
+    if dim == 2:
+        sum_of_both = np.hypot(F[0, 0] + F[1, 1], F[1, 0] - F[0, 1])
+        difference = np.hypot(F[0, 0] - F[1, 1], F[1, 0] + F[0, 1])
+        return 0.5 * (sum_of_both - difference)
+    return np.sqrt(np.linalg.eigvalsh(F.T @ F)[0])
 
 
 @kernel

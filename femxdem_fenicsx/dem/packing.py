@@ -28,7 +28,7 @@ class Packing:
         density: of the grains, kg/m3.
         thickness: out of plane, m; 1 for spheres.
         contacts: (C, 2) pairs (i, j), i < j, that transmit a tangential force.
-        tangential: force on j, N: for disks (C,) along (-n_y, n_x), n from i to j; for spheres (C, 3).
+        tangential: force on j, N, (C,) along (-n_y, n_x) with n from i to j; of spheres (C, 3).
 
     Raises ValueError for no grains, radii or density that are not positive, a box that is turned
     inside out or so small that a grain would meet its own image, and anything not finite.
@@ -144,7 +144,7 @@ class Packing:
 
     @property
     def contact_modulus(self) -> float:
-        """k_n of a mean contact over thickness or mean radius, Pa: the packing's stiffness scale."""
+        """k_n of a mean contact over thickness or mean radius, Pa: a scale of stiffness."""
         constant, modulus = self.law.stiffnesses
         radius = float(self.radii.mean())
         return (constant + modulus * radius) / (self.thickness if self.dim == 2 else radius)

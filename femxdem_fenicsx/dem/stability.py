@@ -46,7 +46,7 @@ def stable_time_step(packing: Packing) -> float:
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a x b: of a spin (n, 3) and a vector in the plane (n, 2) a vector in it; of two such, a spin."""
+    """a x b; vectors in the plane have two components (n, 2), spins always three (n, 3)."""
     if b.shape[1] == 3 and a.shape[1] == 3:
         return np.cross(a, b)
     if a.shape[1] == 3:

@@ -69,7 +69,7 @@ def _uko(b, state, material, work, C):
 
 
 def consistent_tangent(response: Response, F: np.ndarray) -> np.ndarray:
-    """CTO: four (in 3D nine) perturbed evaluations of the whole increment (Argilaga eq. 6, Guo-Zhao eq. 8).
+    """CTO: d^2 perturbed evaluations of the whole increment (Argilaga eq. 6, Guo-Zhao eq. 8).
 
     The perturbation is the step's own strain at each point, so that contacts slide in it as they
     do in the step; an infinitesimal one sees an elastic packing.

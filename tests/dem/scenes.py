@@ -56,24 +56,25 @@ class Moving:
     """A packing in a work space of its own, for tests that look at single time steps."""
 
     def __init__(self, packing: Packing, velocity=0.0, rim_speed=0.0, **material):
-        """`velocity` (N, 2) and `rim_speed` (N,) in m/s; `material` overrides constants."""
+        """Velocities (N, d) and rim speeds (N,), of spheres (N, 3), m/s; `material`: constants."""
         self.packing = packing
         self.material = packing.material._replace(**material)
         viscous = self.material.viscosity is not None
-        self.work = dynamics.workspace(packing.size, max(30, packing.size) * packing.size, viscous)
+        room = max(30, packing.size) * packing.size
+        self.work = dynamics.workspace(packing.size, packing.dim, room, viscous)
         self.work.motion.box[:] = packing.box
         self.work.motion.position[:] = packing.positions.T
         self.work.motion.velocity[:] = np.transpose(velocity)
-        self.work.motion.rim_speed[:] = rim_speed
+        self.work.motion.rim_velocity[:] = np.transpose(rim_speed)
         batch, history = PackingBatch.of(packing, 1), self.work.history
         history.first[:] = batch.row[0]
         history.j[: batch.second.shape[1]] = batch.second[0]
-        history.tangential[: batch.second.shape[1]] = batch.tangential[0]
+        history.tangential[:, : batch.second.shape[1]] = batch.tangential[0]
         assert dynamics.start(self.material, self.work) == dynamics.OK
 
     def advance(self, steps: int, dt: float, gradient=0.0, damping: float = 0.0) -> "Moving":
         """Take steps of dt (s) while the box moves with that velocity gradient (1/s)."""
-        gradient = np.zeros((2, 2)) + gradient
+        gradient = np.zeros((self.packing.dim, self.packing.dim)) + gradient
         status = dynamics.advance(steps, dt, gradient, damping, self.material, self.work)
         assert status == dynamics.OK
         return self
@@ -95,7 +96,9 @@ class Moving:
                 [np.repeat(np.arange(self.packing.size), np.diff(row)),
                  self.work.history.j[: row[-1]]]
             ),
-            tangential=self.work.history.tangential[: row[-1]],
+            tangential=self.work.history.tangential[0, : row[-1]]
+            if self.packing.dim == 2
+            else self.work.history.tangential[:, : row[-1]].T,
         )  # fmt: skip
 
     def listed(self) -> dict[tuple[int, int], int]:

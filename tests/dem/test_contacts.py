@@ -20,7 +20,7 @@ def driven(law: LinearContact, velocity=0.0, rim_speed=0.0, gap=-OVERLAP, angle=
 
 
 def tangential(moving: Moving) -> float:
-    return float(moving.work.pairs.tangential[0])
+    return float(moving.work.pairs.tangential[0, 0])
 
 
 def force_on_second(moving: Moving) -> np.ndarray:

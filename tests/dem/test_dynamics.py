@@ -22,7 +22,7 @@ def frictionless():
 
 def kinetic_energy(moving: Moving) -> float:
     linear = moving.packing.masses * (moving.velocity**2).sum(1)
-    spin = 0.5 * moving.packing.masses * moving.work.motion.rim_speed**2
+    spin = 0.5 * moving.packing.masses * moving.work.motion.rim_velocity[0] ** 2
     return 0.5 * float((linear + spin).sum())
 
 
@@ -94,7 +94,7 @@ def test_angular_momentum_is_kept_by_grains_that_rub():
 
     def momenta():
         x = moving.work.motion.position.T @ packing.box.T
-        v, w = moving.velocity, moving.work.motion.rim_speed
+        v, w = moving.velocity, moving.work.motion.rim_velocity[0]
         orbital = packing.masses * (x[:, 0] * v[:, 1] - x[:, 1] * v[:, 0])
         return orbital.sum(), 0.5 * (packing.masses * packing.radii * w).sum()
 
@@ -153,7 +153,7 @@ def test_a_frictionless_packing_holds_no_tangential_force(frictionless):
     assert abs(stress(moving.now)[0, 0]) > 1e3
     assert len(moving.now.contacts) == 0
     assert not moving.work.pairs.tangential.any()
-    assert not moving.work.motion.rim_speed.any()
+    assert not moving.work.motion.rim_velocity.any()
 
 
 def test_features_that_are_off_are_compiled_away():

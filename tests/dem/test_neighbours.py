@@ -48,7 +48,7 @@ def test_the_list_holds_exactly_the_pairs_that_a_brute_force_search_finds(case, 
 
 def test_a_list_without_room_says_so():
     packing = loose(100, 0, np.eye(2) * 0.05)
-    pairs, _, grid = neighbours.allocate(packing.size, 5, False)
+    pairs, _, grid = neighbours.allocate(packing.size, 2, 5, False)
     material = packing.material
     count = neighbours.build(
         packing.box, packing.positions.T.copy(), packing.radii, material.inverse_mass,
@@ -73,7 +73,7 @@ def test_tangential_forces_survive_a_rebuild_and_those_of_parted_pairs_do_not():
     rng = np.random.default_rng(1)
     before = {pair: rng.normal() for pair in moving.listed()}
     for pair, c in moving.listed().items():
-        work.pairs.tangential[c] = before[pair]
+        work.pairs.tangential[0, c] = before[pair]
     neighbours.remember(work.pairs, work.history)
     # grains wander into other grid squares, over the box's edges and away from each other
     work.motion.position[:] += 5e-3 * rng.normal(size=work.motion.position.shape) + 0.4
@@ -81,7 +81,7 @@ def test_tangential_forces_survive_a_rebuild_and_those_of_parted_pairs_do_not():
     after = moving.listed()
     assert set(before) - set(after) and set(after) - set(before) and set(after) & set(before)
     for pair, c in after.items():
-        assert work.pairs.tangential[c] == before.get(pair, 0.0)
+        assert work.pairs.tangential[0, c] == before.get(pair, 0.0)
 
 
 def used_up(moving: Moving, box, position) -> float:
@@ -164,8 +164,8 @@ def test_a_run_with_rebuilds_equals_one_whose_list_is_never_rebuilt():
     np.testing.assert_allclose(
         short.work.motion.position, long.work.motion.position, rtol=0, atol=1e-9
     )
-    tangential = {p: short.work.pairs.tangential[c] for p, c in short.listed().items()}
+    tangential = {p: short.work.pairs.tangential[0, c] for p, c in short.listed().items()}
     for pair, c in long.listed().items():
-        assert long.work.pairs.tangential[c] == pytest.approx(
+        assert long.work.pairs.tangential[0, c] == pytest.approx(
             tangential.get(pair, 0.0), rel=1e-6, abs=1e-6
         )

@@ -31,7 +31,7 @@ def assert_same_state(one: PackingBatch, other: PackingBatch):
         count = one.row[b, -1]
         for name in ("second", "tangential"):
             np.testing.assert_array_equal(
-                getattr(one, name)[b, :count], getattr(other, name)[b, :count]
+                getattr(one, name)[b, ..., :count], getattr(other, name)[b, ..., :count]
             )
 
 
