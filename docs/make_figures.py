@@ -193,7 +193,7 @@ def draw_accuracy() -> None:
     )  # fmt: skip
     numbers = [name for name in rows if name.startswith("inertial")]
     axes.plot(*points(numbers), "o-", ms=3, color="0.45", lw=0.8, label="inertial number varied")
-    places = {3e-3: (-5, -3, "right"), 3e-4: (4, 4, "left"), 3e-5: (0, 5, "center")}
+    places = {3e-3: (-5, -3, "right"), 3e-4: (-5, -9, "right"), 3e-5: (0, 5, "center")}
     for name, x, y in zip(numbers, *points(numbers), strict=True):
         number = rows[name]["inertial_number"]
         if number in places:
