@@ -82,7 +82,8 @@ class HomogenisedLaw:
         self.tally = Tally()
         self._F = np.broadcast_to(self._identity, (size, self.dim, self.dim))
         self._initial_box = self.response.committed.box.copy()
-        self._initial_stiffness = 0.0
+        stiffest = np.abs(operator("UKO")(self.response, self._F)).max(initial=0.0)
+        self._failed_stiffness = FAILED_STIFFNESS * max(stiffest, 1e-6 * packing.contact_modulus)
         self._grains = packing.size
         self._initial_void_ratio = packing.void_ratio
 
@@ -113,12 +114,8 @@ class HomogenisedLaw:
         """
         started = perf_counter()
         C = self._operator(self.response, self._F)
-        if self._initial_stiffness == 0.0:
-            self._initial_stiffness = float(np.abs(C).max(initial=0.0))
         identity = np.einsum("ik,jl->ijkl", self._identity, self._identity)
-        C[self._failed(self.response.outcome)] += (
-            FAILED_STIFFNESS * self._initial_stiffness * identity
-        )
+        C[self._failed(self.response.outcome)] += self._failed_stiffness * identity
         self.tally.tangent_seconds += perf_counter() - started
         return np.einsum("nijkl,nml->nijkm", C, np.linalg.inv(self._F))
 
@@ -139,7 +136,7 @@ class HomogenisedLaw:
         for name, value in self.response.committed_outcome._asdict().items():
             group[f"outcome/{name}"] = value
         group["initial_box"] = self._initial_box
-        group.attrs["initial_stiffness"] = self._initial_stiffness
+        group.attrs["failed_stiffness"] = self._failed_stiffness
 
     def load(self, group: h5py.Group) -> None:
         """Read back, bit for bit, what `save` wrote; ValueError for a state of another shape."""
@@ -156,7 +153,7 @@ class HomogenisedLaw:
         for name, value in response.committed_outcome._asdict().items():
             value[:] = group[f"outcome/{name}"][()]
         self._initial_box[:] = group["initial_box"][()]
-        self._initial_stiffness = float(group.attrs["initial_stiffness"])
+        self._failed_stiffness = float(group.attrs["failed_stiffness"])
         self.discard()
 
     @property

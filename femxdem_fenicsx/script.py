@@ -46,8 +46,13 @@ def _fail(comm: MPI.Comm, error: Exception) -> int:
 def parse(parser: argparse.ArgumentParser, comm: MPI.Comm, arguments: Sequence[str] | None = None):
     """Parsed arguments; what argparse does not know goes to PETSc. Rank 0 alone prints.
 
-    Raises ValueError for an argument that PETSc cannot take either.
+    Raises ValueError for what argparse refuses, and for what PETSc cannot take either.
     """
+
+    def refuse(message: str):
+        raise ValueError(f"{message}; see --help")
+
+    parser.error = refuse
     with open(os.devnull, "w") as nowhere:
         silent = nowhere if comm.rank > 0 else None
         with redirect_stdout(silent or sys.stdout), redirect_stderr(silent or sys.stderr):

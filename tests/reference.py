@@ -22,6 +22,15 @@ def packing_from_tables() -> Packing:
     return Packing(box, positions, grains["radius_m"], law, density=2650.0, thickness=0.1)
 
 
+def spheres_from_tables() -> Packing:
+    """YADE's 1000 spheres, sphere for sphere."""
+    box = np.loadtxt(DATA / "spheres" / "cell.txt")
+    grains = table("spheres/grains.csv")
+    positions = np.column_stack([grains[name] for name in ("x_m", "y_m", "z_m")])
+    law = LinearContact(modulus=6e8, stiffness_ratio=0.8, friction=float(np.tan(0.5)))
+    return Packing(box, positions @ np.linalg.inv(box).T, grains["radius_m"], law, density=2650.0)
+
+
 def reference_packing() -> Packing:
     """The same from the file that demos and benchmarks read."""
     return load_packing(DATA / "packing.h5")
@@ -34,3 +43,4 @@ def table(name: str) -> np.ndarray:
 
 if __name__ == "__main__":
     save_packing(DATA / "packing.h5", packing_from_tables())
+    save_packing(DATA / "spheres.h5", spheres_from_tables())

@@ -151,12 +151,14 @@ def resume_flow(motion, gradient, flow, flow_gradient):
 
 
 @kernel
-def deform(b, row, F, log_F, shear, pressure, material, loading, state, new, outcome, work):
+def deform(
+    b, F, log_F, shear, pressure, material, loading, state, new, place, outcome, row, work
+):  # fmt: skip
     """Deform packing b by F (d, d) in the time of its shear, then hold it; Desrues eq. 16-19.
 
-    `state` holds the arrays of a PackingBatch. The new state goes to row b of `new`, another such
-    tuple, or nowhere where that is None; what is measured goes to `row` of `outcome`.
-    Returns OK, or NO_ROOM where the work space is too small for its contacts: nothing is written.
+    `state` and `new` hold the arrays of PackingBatches: the new state goes to `place` of `new`,
+    what is measured to `row` of `outcome`. Returns OK, or NO_ROOM where the work space is too small
+    for the contacts; what has been written then has no meaning.
     """
     motion, history = work.motion, work.history
     motion.box[:] = state[0][b]
@@ -179,9 +181,8 @@ def deform(b, row, F, log_F, shear, pressure, material, loading, state, new, out
     if dynamics.advance(steps, dt, gradient, loading.damping, material, work) != OK:
         return NO_ROOM
     motion.box[:] = final_box
-    if new is not None:
-        new[2][b, : len(F)], new[2][b, len(F) :] = motion.velocity, motion.rim_velocity
-        new[3][b] = gradient
+    new[2][place, : len(F)], new[2][place, len(F) :] = motion.velocity, motion.rim_velocity
+    new[3][place] = gradient
 
     motion.velocity[:] = 0.0
     motion.rim_velocity[:] = 0.0
@@ -203,16 +204,15 @@ def deform(b, row, F, log_F, shear, pressure, material, loading, state, new, out
         ratio = net / max(contact, 1e-3 * weakest)
         at_rest = ratio < loading.tolerance
 
-    if new is not None:
-        remember(work.pairs, history)
-        count = history.first[-1]
-        if count > new[5].shape[1]:
-            return NO_ROOM
-        new[0][b] = motion.box
-        new[1][b] = motion.position
-        new[4][b] = history.first
-        new[5][b, :count] = history.j[:count]
-        new[6][b, :, :count] = history.tangential[:, :count]
+    remember(work.pairs, history)
+    count = history.first[-1]
+    if count > new[5].shape[1]:
+        return NO_ROOM
+    new[0][place] = motion.box
+    new[1][place] = motion.position
+    new[4][place] = history.first
+    new[5][place, :count] = history.j[:count]
+    new[6][place, :, :count] = history.tangential[:, :count]
     outcome.contacts[row], outcome.overlap[row] = measure(
         motion, work.pairs, material.cohesion, loading.thickness, outcome.stress[row],
         outcome.fabric[row],

@@ -14,6 +14,8 @@ from .packing import PAIRS_PER_GRAIN, Packing, PackingBatch
 
 #: A packing with more pairs than that per grain has collapsed.
 MOST_PAIRS_PER_GRAIN = 40
+#: Least volume of a box over that of its grains; below it they overlap beyond any contact law.
+SOLID = 0.7
 
 
 class Response:
@@ -40,6 +42,7 @@ class Response:
         self.material = packing.material
         self.threads = threads
         self._spaces: deque[Workspace] = deque()
+        self._scratch: deque[tuple[np.ndarray, ...]] = deque()
         self._capacity = PAIRS_PER_GRAIN[packing.dim] * packing.size
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
         contacts = touching(packing)
@@ -62,7 +65,8 @@ class Response:
     def deform(self, F: np.ndarray) -> Outcome:
         """Trial state at F (B, d, d) relative to the committed state; what was measured there.
 
-        Raises ValueError for an F that is not a deformation (see `loading.logarithm`) and
+        Raises ValueError for an F that is not a deformation (see `loading.logarithm`) or squeezes
+        the box too far, and
         FloatingPointError for a packing that collapses.
         """
         self.outcome = self._run(F, np.arange(self.size), self.trial.state)
@@ -89,19 +93,24 @@ class Response:
     def _run(self, F, packings, new) -> Outcome:
         F = np.ascontiguousarray(F, dtype=np.float64)
         log_F = logarithm(F)
+        self._check_room(F @ self.committed.box[packings], packings)
         shear = shear_of(log_F)
         outcome = Outcome.of(len(packings), self.committed.template.dim)
         state = self.committed.state
 
         def one(row: int) -> None:
             b = packings[row]
+            scratch = self._scratch_state() if new is None else None
+            target, place = (scratch, 0) if new is None else (new, b)
             self.with_workspace(
                 lambda work: deform(
-                    b, row, F[row], log_F[row], shear[row], self.pressure[b], self.material,
-                    self.loading, state, new, outcome, work,
+                    b, F[row], log_F[row], shear[row], self.pressure[b], self.material,
+                    self.loading, state, target, place, outcome, row, work,
                 ),
                 f"packing {b}",
             )  # fmt: skip
+            if scratch is not None:
+                self._scratch.append(scratch)
 
         expensive_first = np.argsort(-self._cost[packings], kind="stable")
         self.for_each(one, expensive_first)
@@ -111,6 +120,35 @@ class Response:
                 f"packing {packings[wrong[0]]}: its stress is not finite; take smaller steps"
             )
         return outcome
+
+    def _scratch_state(self) -> tuple[np.ndarray, ...]:
+        """Arrays of a batch of one, for a state that nobody wants.
+
+        Probing by the same compiled kernel as deforming gives the same bits.
+        """
+        try:
+            return self._scratch.pop()
+        except IndexError:
+            return PackingBatch.of(self.committed.template, 1).state
+
+    def _check_room(self, boxes: np.ndarray, packings: np.ndarray) -> None:
+        """Raise ValueError for a box that its grains cannot fill sensibly."""
+        template = self.committed.template
+        inverse = np.linalg.inv(boxes)
+        heights = 1.0 / np.linalg.norm(inverse, axis=2).max(1)
+        volumes = np.linalg.det(boxes) * template.thickness
+        low = np.flatnonzero(heights < 4.0 * template.radii.max())
+        if len(low):
+            raise ValueError(
+                f"packing {packings[low[0]]}: its box is squeezed below two diameters of the"
+                " largest grain, which would meet its own image; take more grains"
+            )
+        full = np.flatnonzero(volumes < SOLID * template.grain_volumes.sum())
+        if len(full):
+            raise ValueError(
+                f"packing {packings[full[0]]}: its box is squeezed to"
+                f" {volumes[full[0]] / template.grain_volumes.sum():.2f} of the grains' volume"
+            )
 
     def for_each(self, task: Callable[[int], None], order: np.ndarray) -> None:
         """Run task(k) for every k of `order`, on all threads; the first error is raised."""

@@ -125,9 +125,10 @@ def test_the_committed_box_is_F_times_the_old_one_to_the_last_bit(packing):
 
 
 def test_work_space_grows_with_the_pairs_of_a_dense_packing():
-    loose, F = hexagonal(overlap=-0.01), 0.6 * np.eye(2)[None]
+    loose, F = hexagonal(overlap=-0.01), 0.8 * np.eye(2)[None]
     response = Response(loose, 1, PRESETS["fast"])
     first_capacity = response._capacity
+    response._capacity = first_capacity = 2 * loose.size
     outcome = response.deform(F)
     assert outcome.contacts[0] > first_capacity
     roomy = Response(loose, 1, PRESETS["fast"])
@@ -136,14 +137,28 @@ def test_work_space_grows_with_the_pairs_of_a_dense_packing():
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_grains_that_collapse_are_named_and_the_others_go_on_afterwards(threads):
-    response = Response(hexagonal(10, 10), SIZE, PRESETS["fast"], threads)
+@pytest.mark.parametrize("grains, why", [(10, "its own image"), (20, "of the grains' volume")])
+def test_a_box_without_room_for_its_grains_is_named_and_the_others_go_on(threads, grains, why):
+    response = Response(hexagonal(grains, grains), SIZE, PRESETS["fast"], threads)
     expected = response.deform(increments(1)).stress.copy()
     bad = increments(1)
     bad[3] *= 0.2
-    with pytest.raises(FloatingPointError, match=r"packing 3.*smaller steps") as error:
+    with pytest.raises(ValueError, match=f"packing 3.*{why}") as error:
         response.deform(bad)
     assert "\n" not in str(error.value)
+    np.testing.assert_array_equal(response.deform(increments(1)).stress, expected)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_grains_that_collapse_are_named_and_the_others_go_on_afterwards(threads, monkeypatch):
+    monkeypatch.setattr("femxdem_fenicsx.dem.response.MOST_PAIRS_PER_GRAIN", 0.1)
+    response = Response(hexagonal(10, 10), SIZE, PRESETS["fast"], threads)
+    expected = response.deform(increments(1)).stress.copy()
+    response._capacity = 10
+    response._spaces.clear()
+    with pytest.raises(FloatingPointError, match=r"packing .: its grains have collapsed"):
+        response.deform(increments(1))
+    response._capacity = 1000
     np.testing.assert_array_equal(response.deform(increments(1)).stress, expected)
 
 
