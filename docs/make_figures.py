@@ -27,6 +27,7 @@ from femxdem_fenicsx.dem.accuracy import PRESETS  # noqa: E402
 from femxdem_fenicsx.dem.files import load_packing  # noqa: E402
 
 OURS, THEIRS, THIRD = plotting.COLOURS[:3]
+SEED = "14"  # of the packing in the demo's pictures
 
 
 def python(script: str, *arguments: str) -> str:
@@ -51,12 +52,12 @@ def keep(name: str, columns: str, rows: np.ndarray) -> None:
     )
 
 
-# The demo, as `make biaxial` runs it
+# The demo, as `make biaxial` runs it but with a packing that localises early
 
 
 def run_biaxial() -> None:
     with tempfile.TemporaryDirectory() as folder:
-        summary = python("demos/biaxial.py", "--output", folder)
+        summary = python("demos/biaxial.py", "--seed", SEED, "--output", folder)
         for name in ("fields", "history", "force_chains"):
             with Image.open(Path(folder) / f"{name}.png") as picture:  # 256 colours: smaller files
                 picture.convert("RGB").quantize(256).save(FIGURES / f"biaxial_{name}.png")
