@@ -22,28 +22,30 @@ from femxdem_fenicsx.dem.homogenisation import measure  # noqa: E402
 from femxdem_fenicsx.dem.loading import settings  # noqa: E402
 from femxdem_fenicsx.dem.packing import Packing  # noqa: E402
 from femxdem_fenicsx.dem.preparation import workspace_of  # noqa: E402
+from femxdem_fenicsx.dem.response import Response  # noqa: E402
 
-#: Velocity gradient of the loading, 1/s: about I = 1e-3 at 100 kPa.
-GRADIENT = np.array([[0.4, 0.0], [0.0, -0.5]])
+#: Rates of extension along the axes, 1/s: about I = 1e-3 at 100 kPa.
+EXTENSION = {2: [0.4, -0.5], 3: [0.2, -0.5, 0.2]}
 
 
-def sheared(packing: Packing) -> tuple[dynamics.Workspace, float]:
-    """A work space with the packing at 1 % axial strain, and its time step."""
+def sheared(packing: Packing) -> tuple[dynamics.Workspace, float, np.ndarray]:
+    """A work space with the packing at 1 % axial strain, its time step, and the L it moves with."""
     work = workspace_of(packing)
     dt = settings(packing, PRESETS["balanced"], 1e5).time_step
-    dynamics.advance(round(0.01 / 0.5 / dt), dt, GRADIENT, 0.3, packing.material, work)
-    return work, dt
+    gradient = np.diag(EXTENSION[packing.dim])
+    dynamics.advance(round(0.01 / 0.5 / dt), dt, gradient, 0.3, packing.material, work)
+    return work, dt, gradient
 
 
 def row(case: str, packing: Packing, repeats: int, steps: int) -> dict:
     """The fastest of some repetitions, in CPU time."""
-    work, dt = sheared(packing)
+    work, dt, gradient = sheared(packing)
     fastest = np.inf
     for _ in range(repeats):
         started = process_time()
-        dynamics.advance(steps, dt, 0.1 * GRADIENT, 0.3, packing.material, work)
+        dynamics.advance(steps, dt, 0.1 * gradient, 0.3, packing.material, work)
         fastest = min(fastest, process_time() - started)
-    stress, fabric = np.zeros((2, 2)), np.zeros((2, 2))
+    stress, fabric = np.zeros((2, packing.dim, packing.dim))
     contacts, _ = measure(
         work.motion, work.pairs, packing.material.cohesion, packing.thickness, stress, fabric
     )
@@ -56,6 +58,28 @@ def row(case: str, packing: Packing, repeats: int, steps: int) -> dict:
     }
 
 
+def batch(case: str, packing: Packing, threads: int) -> dict:
+    """64 packings under one increment each; wall-clock time per packing and step."""
+    F = np.eye(2) + np.diag([0.8e-3, -1e-3])
+    F = F + 1e-4 * np.random.default_rng(0).uniform(-1, 1, (64, 2, 2))
+    response = Response(packing, 64, PRESETS["balanced"], threads)
+    for _ in range(5):
+        response.deform(F)
+        response.commit()
+    fastest = np.inf
+    for _ in range(5):
+        started = perf_counter()
+        outcome = response.deform(F)
+        fastest = min(fastest, perf_counter() - started)
+    steps = int((outcome.loading_steps + outcome.hold_steps).sum())
+    return {
+        "case": case,
+        "us_per_step": 1e6 * fastest / steps,
+        "grain_steps_per_second": packing.size * steps / fastest,
+        "contacts": int(outcome.contacts.mean()),
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true")
@@ -65,13 +89,18 @@ def main() -> None:
     started = perf_counter()
     sheared(disks)
     first = perf_counter() - started
-    smooth = disks.but(law=LinearContact(modulus=6e8, friction=0.0))
+    spheres = load_packing(ROOT / "tests" / "data" / "yade" / "spheres.h5", dim=3)
+    smooth = LinearContact(modulus=6e8, friction=0.0)
     rows = [
         row("disks-400", disks, repeats, steps),
-        row("disks-400-frictionless", smooth, repeats, steps),
+        row("disks-400-frictionless", disks.but(law=smooth), repeats, steps),
+        row("spheres-1000", spheres, repeats, steps // 4),
+        row("spheres-1000-frictionless", spheres.but(law=smooth), repeats, steps // 4),
+        batch("batch-64-threads-1", disks, 1),
+        batch("batch-64-threads-2", disks, 2),
     ]
     for line in rows:
-        print(f"{line['case']:24s} {line['us_per_step']:6.2f} us per step")
+        print(f"{line['case']:26s} {line['us_per_step']:6.2f} us per step")
     print(json.dumps({"rows": rows, "first_start_s": first}))
 
 

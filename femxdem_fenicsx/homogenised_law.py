@@ -164,7 +164,8 @@ class HomogenisedLaw:
     @property
     def deformation(self) -> np.ndarray:
         """Committed deformation gradient (n, d, d) since the beginning."""
-        return self.response.committed.box @ np.linalg.inv(self._initial_box)
+        state = self.response.committed
+        return state.box @ np.linalg.inv(state.turns) @ np.linalg.inv(self._initial_box)
 
     @property
     def deviatoric_strain(self) -> np.ndarray:

@@ -163,10 +163,10 @@ def deform(
     motion, history = work.motion, work.history
     motion.box[:] = state[0][b]
     motion.position[:] = state[1][b]
-    history.first[:] = state[4][b]
+    history.first[:] = state[5][b]
     count = history.first[-1]
-    history.j[:count] = state[5][b, :count]
-    history.tangential[:, :count] = state[6][b, :, :count]
+    history.j[:count] = state[6][b, :count]
+    history.tangential[:, :count] = state[7][b, :, :count]
     final_box = F @ motion.box
     if dynamics.start(material, work) != OK:
         return NO_ROOM
@@ -183,6 +183,7 @@ def deform(
     motion.box[:] = final_box
     new[2][place, : len(F)], new[2][place, len(F) :] = motion.velocity, motion.rim_velocity
     new[3][place] = gradient
+    new[4][place] = state[4][b]
 
     motion.velocity[:] = 0.0
     motion.rim_velocity[:] = 0.0
@@ -206,13 +207,13 @@ def deform(
 
     remember(work.pairs, history)
     count = history.first[-1]
-    if count > new[5].shape[1]:
+    if count > new[6].shape[1]:
         return NO_ROOM
     new[0][place] = motion.box
     new[1][place] = motion.position
-    new[4][place] = history.first
-    new[5][place, :count] = history.j[:count]
-    new[6][place, :, :count] = history.tangential[:, :count]
+    new[5][place] = history.first
+    new[6][place, :count] = history.j[:count]
+    new[7][place, :, :count] = history.tangential[:, :count]
     outcome.contacts[row], outcome.overlap[row] = measure(
         motion, work.pairs, material.cohesion, loading.thickness, outcome.stress[row],
         outcome.fabric[row],

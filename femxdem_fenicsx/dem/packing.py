@@ -10,6 +10,8 @@ from .neighbours import box_heights
 
 #: Skin of the pair list as a share of the mean radius: dense packings hardly rearrange.
 SKIN = 0.08
+#: A box is reduced where h_a . h_b is more than this share of |h_b|^2.
+TOO_SKEWED = 0.6
 #: Pairs that there is room for at first, per grain, by dimension.
 PAIRS_PER_GRAIN = {2: 5, 3: 8}
 #: Contacts that there is room for, per grain. Contacts of disks form a planar graph: 3 at most.
@@ -158,6 +160,25 @@ class Packing:
         return self.but(box=np.asarray(F) @ self.box)
 
 
+def reduction(box: np.ndarray) -> np.ndarray:
+    """Integer matrix A (d, d), determinant 1, that makes the columns of h A short (Gauss).
+
+    From every column the nearest multiple of each other one is taken off, until nothing changes.
+    """
+    h, A = np.array(box), np.eye(len(box))
+    changed = True
+    while changed:
+        changed = False
+        for a in range(len(h)):
+            for b in range(len(h)):
+                times = np.round(h[:, a] @ h[:, b] / (h[:, b] @ h[:, b])) if a != b else 0.0
+                if times != 0.0:
+                    h[:, a] -= times * h[:, b]
+                    A[:, a] -= times * A[:, b]
+                    changed = True
+    return A
+
+
 @dataclass(frozen=True)
 class PackingBatch:
     """B packings that differ in state but share grain sizes, contact law and density.
@@ -167,6 +188,8 @@ class PackingBatch:
         flow (B, d + q, N), flow_gradient (B, d, d): how they moved when they were last loaded, that
             is velocities beyond the affine motion and rim velocities (m/s), and the L that caused
             it (1/s); q = 1 in 2D, 3 in 3D;
+        turns (B, d, d): integers; `box` is the box of the first committed state, deformed, times
+            them (see `reduce_boxes`);
         row (B, N + 1), second (B, C), tangential (B, q, C): contacts that hold a tangential force,
             in compressed rows (`neighbours.History`).
         template: the packing that gives radii, contact law, density and thickness.
@@ -177,11 +200,12 @@ class PackingBatch:
     position: np.ndarray
     flow: np.ndarray
     flow_gradient: np.ndarray
+    turns: np.ndarray
     row: np.ndarray
     second: np.ndarray
     tangential: np.ndarray
 
-    STATE = ("box", "position", "flow", "flow_gradient", "row", "second", "tangential")
+    STATE = ("box", "position", "flow", "flow_gradient", "turns", "row", "second", "tangential")
 
     @classmethod
     def of(cls, packing: Packing, size: int) -> "PackingBatch":
@@ -196,6 +220,7 @@ class PackingBatch:
             np.zeros((size, d, d)),
             np.zeros((size, d, N)),
             np.zeros((size, d + q, N)),
+            np.zeros((size, d, d)),
             np.zeros((size, d, d)),
             np.zeros((size, N + 1), np.uint32),
             np.zeros((size, room), np.uint32),
@@ -231,9 +256,28 @@ class PackingBatch:
         self.position[b] = packing.positions.T
         self.flow[b] = 0.0
         self.flow_gradient[b] = 0.0
+        self.turns[b] = np.eye(packing.dim)
         self.row[b] = np.searchsorted(pairs[:, 0], np.arange(packing.size + 1))
         self.second[b, :count] = pairs[:, 1]
         self.tangential[b, :, :count] = packing.tangential[order].T
+
+    def reduce_boxes(self) -> None:
+        """Replace every box that is too skewed by an equivalent one, h <- h A, s <- A^-1 s.
+
+        A is an integer matrix of determinant 1, so that the same grains stand at the same places:
+        nothing but the choice of the periodicity vectors changes. Without it a box that is sheared
+        on and on becomes lower than two diameters.
+        """
+        products = np.swapaxes(self.box, 1, 2) @ self.box
+        squares = np.diagonal(products, axis1=1, axis2=2)
+        skewed = np.abs(products) > TOO_SKEWED * squares[:, None, :]
+        skewed[:, range(self.box.shape[1]), range(self.box.shape[1])] = False
+        for b in np.flatnonzero(skewed.any((1, 2))):
+            A = reduction(self.box[b])
+            self.box[b] = self.box[b] @ A
+            position = np.linalg.inv(A).round() @ self.position[b]
+            self.position[b] = position - np.floor(position)
+            self.turns[b] = self.turns[b] @ A
 
     def packing(self, b: int) -> Packing:
         """Number b on its own."""

@@ -1,6 +1,6 @@
 """Random packings: grains thrown into a wide box, which is compressed to a target stress."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +26,7 @@ def random_packing(
     grains: int = 400,
     radii: tuple[float, float] = (3e-3, 7e-3),
     law: LinearContact | None = None,
-    pressure: float = 1e5,
+    pressure: float | Sequence[float] = 1e5,
     compaction_friction: float = 0.0,
     seed: int = 1,
     density: float = 2650.0,
@@ -35,13 +35,13 @@ def random_packing(
     tolerance: float = 1e-3,
     progress: Callable[[float], None] | None = None,
 ) -> Packing:
-    """A periodic packing of random disks at rest under an isotropic pressure.
+    """A periodic packing of random disks or spheres at rest under a pressure.
 
     Args:
         grains: their number.
         radii: the two bounds of a uniform distribution, m (defaults: Guo-Zhao table I).
         law: contact law of the finished packing; Guo-Zhao's by default.
-        pressure: Pa, compression positive.
+        pressure: Pa, compression positive; isotropic, or one value per axis (Desrues table 4).
         compaction_friction: friction during the compression, which steers the void ratio: 0 gives
             a dense packing, more a looser one.
         seed: of the random numbers; same seed, same packing.
@@ -60,8 +60,6 @@ def random_packing(
         raise ValueError(f"a packing needs 1 grain or more, got {grains}")
     if not 0 < radii[0] <= radii[1] < np.inf:
         raise ValueError(f"radii: need 0 < smallest <= largest (m), got {radii[0]} and {radii[1]}")
-    if not 0 < pressure < np.inf:
-        raise ValueError(f"pressure: must be positive (Pa), got {pressure}")
     if dim not in (2, 3):
         raise ValueError(f"a packing has 2 or 3 dimensions, not {dim}")
     if thickness is None:
@@ -69,8 +67,50 @@ def random_packing(
     rng = np.random.default_rng(seed)
     compaction_law = replace(law, friction=compaction_friction, cohesion=0.0)
     dilute = _dilute(grains, dim, radii, compaction_law, density, thickness, rng)
-    compacted = compress(dilute, pressure, tolerance, rng, progress)
+    # grains without friction could not bear unequal stresses: those come with the law's friction
+    compacted = compress(dilute, float(np.min(pressure)), tolerance, rng, progress)
     return settle(compacted.but(law=law), pressure, tolerance)
+
+
+def packing_of_void_ratio(
+    void_ratio: float, tolerance: float = 2e-3, most: int = 30, **preparation
+) -> Packing:
+    """A random packing of a given void ratio: the compaction friction is searched for.
+
+    Args:
+        void_ratio: of the finished packing.
+        tolerance: on it.
+        most: packings tried at most. One random packing answers to friction with some scatter, so
+            that not every value is met by every seed.
+        preparation: what `random_packing` takes, but no compaction_friction.
+
+    Raises RuntimeError, with the void ratios reached, where none is close enough.
+    """
+    low, high = 0.0, 1.0
+    tried: dict[float, Packing] = {}
+
+    def error(friction: float) -> float:
+        tried[friction] = random_packing(compaction_friction=friction, **preparation)
+        return tried[friction].void_ratio - void_ratio
+
+    error_low, error_high = error(low), error(high)
+    if error_low * error_high < 0:
+        while len(tried) < most and min(abs(error_low), abs(error_high)) > tolerance:
+            middle = 0.5 * (low + high)
+            error_middle = error(middle)
+            if error_middle * error_low > 0:
+                low, error_low = middle, error_middle
+            else:
+                high, error_high = middle, error_middle
+    best = min(tried.values(), key=lambda packing: abs(packing.void_ratio - void_ratio))
+    if abs(best.void_ratio - void_ratio) > tolerance:
+        reached = sorted(packing.void_ratio for packing in tried.values())
+        raise RuntimeError(
+            f"void ratio {void_ratio} was not reached: compaction friction from 0 to 1 gives"
+            f" {reached[0]:.4f} to {reached[-1]:.4f}, {best.void_ratio:.4f} at best; take another"
+            " seed or more grains"
+        )
+    return best
 
 
 def _dilute(grains, dim, radii, law, density, thickness, rng) -> Packing:
@@ -89,19 +129,27 @@ def _dilute(grains, dim, radii, law, density, thickness, rng) -> Packing:
 
 def compress(
     packing: Packing,
-    pressure: float,
+    pressure: float | Sequence[float],
     tolerance: float = 1e-3,
     rng: np.random.Generator | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Packing:
-    """Bring a packing to rest under an isotropic pressure by moving its box.
+    """Bring a packing to rest under a pressure, isotropic or one per axis, by moving its box.
 
-    The box strains at the rate -(sigma + p I) / (K T): K is the affine stiffness of the contacts
+    The box strains at the rate -(sigma + p) / (K T): K is the affine stiffness of the contacts
     that there are, T the time of `BLOCK` steps twice over; the inertial number never exceeds 0.01.
     With `rng`, the grains start with random velocities, which mix a dilute packing.
 
-    Raises RuntimeError where the target is not reached.
+    Raises ValueError for a pressure that is not positive, and RuntimeError where it is not reached.
     """
+    if np.size(pressure) not in (1, packing.dim) or not (
+        np.isfinite(pressure).all() and np.min(pressure) > 0
+    ):
+        raise ValueError(
+            f"pressure: give one positive value (Pa) or {packing.dim} of them, got {pressure}"
+        )
+    target = np.diag(np.broadcast_to(np.asarray(pressure, dtype=float), packing.dim))
+    pressure = float(np.trace(target)) / packing.dim
     material = packing.material
     work = workspace_of(packing)
     speed = np.sqrt(pressure / packing.density)
@@ -116,7 +164,7 @@ def compress(
             work.motion, work.pairs, material.cohesion, packing.thickness, stress, fabric
         )
         net, force = dynamics.unbalance(work)
-        excess = stress + pressure * np.eye(packing.dim)
+        excess = stress + target
         if np.abs(excess).max() < tolerance * pressure and net < tolerance * force:
             return packing_of(packing, work)
         stiffness = max(contacts, 1) / packing.size * packing.contact_modulus
@@ -130,7 +178,7 @@ def compress(
     )
 
 
-def settle(packing: Packing, pressure: float, tolerance: float = 1e-3) -> Packing:
+def settle(packing: Packing, pressure: float | Sequence[float], tolerance: float = 1e-3) -> Packing:
     """The packing under its own contact law, at rest again under that pressure."""
     return compress(packing, pressure, tolerance)
 

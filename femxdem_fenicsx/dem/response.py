@@ -1,5 +1,6 @@
 """The answer of B packings to B deformation gradients, computed on the threads of this process."""
 
+import warnings
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -8,7 +9,7 @@ import numpy as np
 
 from .accuracy import Accuracy
 from .dynamics import OK, Workspace, workspace
-from .homogenisation import fabric, stress, touching
+from .homogenisation import Contacts, fabric, stress, touching
 from .loading import Outcome, deform, logarithm, pressure_of, settings, shear_of
 from .packing import PAIRS_PER_GRAIN, Packing, PackingBatch
 
@@ -16,6 +17,25 @@ from .packing import PAIRS_PER_GRAIN, Packing, PackingBatch
 MOST_PAIRS_PER_GRAIN = 40
 #: Least volume of a box over that of its grains; below it they overlap beyond any contact law.
 SOLID = 0.7
+
+
+def warn_of_overlaps(contacts: Contacts, packing: Packing) -> None:
+    """Warn of grains that overlap so much that contacts are none any more; too much is refused.
+
+    Raises ValueError above half a diameter: such a packing was never at rest.
+    """
+    i, j = contacts.pairs.T
+    overlap = float((contacts.overlaps / (packing.radii[i] + packing.radii[j])).max(initial=0.0))
+    if overlap > 0.5:
+        raise ValueError(
+            f"grains overlap by up to {overlap:.0%} of their diameter: prepare the packing anew"
+        )
+    if overlap > 0.1:
+        warnings.warn(
+            f"grains overlap by up to {overlap:.0%} of their diameter: the contacts are too soft"
+            " for this pressure",
+            stacklevel=3,
+        )
 
 
 class Response:
@@ -46,6 +66,7 @@ class Response:
         self._capacity = PAIRS_PER_GRAIN[packing.dim] * packing.size
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
         contacts = touching(packing)
+        warn_of_overlaps(contacts, packing)
         initial = stress(packing, contacts)
         confining = max(float(pressure_of(initial)), 1e-6 * packing.contact_modulus)
         self.loading = settings(packing, accuracy, confining)
@@ -82,6 +103,7 @@ class Response:
         """The trial state becomes the state; without a trial nothing changes."""
         if self.latest is self.trial:
             self.committed, self.trial = self.trial, self.committed
+            self.committed.reduce_boxes()
             self.committed_outcome = self.outcome
         self.discard()
 

@@ -6,7 +6,7 @@ import pytest
 from femxdem_fenicsx.dem import preparation
 from femxdem_fenicsx.dem.contacts import LinearContact
 from femxdem_fenicsx.dem.homogenisation import coordination_number, stress, touching
-from femxdem_fenicsx.dem.preparation import random_packing
+from femxdem_fenicsx.dem.preparation import packing_of_void_ratio, random_packing
 
 PRESSURE = 1e5
 
@@ -100,3 +100,25 @@ def test_a_pressure_that_is_not_reached_is_an_error_that_says_how_far_it_came(mo
     monkeypatch.setattr(preparation, "MOST_BLOCKS", 3)
     with pytest.raises(RuntimeError, match=r"of 1e\+05 Pa.*after 75 steps"):
         random_packing(36)
+
+
+def test_friction_during_compaction_is_found_for_a_void_ratio():
+    packing = packing_of_void_ratio(0.209, grains=400, seed=1)
+    assert packing.void_ratio == pytest.approx(0.209, abs=2e-3)
+    np.testing.assert_allclose(np.diag(stress(packing)), -1e5, rtol=1.1e-3)
+
+
+def test_a_void_ratio_out_of_reach_is_refused_with_what_was_reached():
+    with pytest.raises(RuntimeError, match=r"void ratio 0.5 was not reached.*0\.\d+ to 0\.\d+"):
+        packing_of_void_ratio(0.5, grains=100)
+
+
+def test_unequal_stresses_are_reached_axis_by_axis():
+    packing = random_packing(400, pressure=(1e5, 1.3e5))
+    np.testing.assert_allclose(stress(packing), -np.diag([1e5, 1.3e5]), atol=2e2)
+
+
+@pytest.mark.parametrize("pressure", [-1e5, 0.0, np.nan, (1e5, -1.0), (1e5, 1e5, 1e5)])
+def test_a_pressure_that_is_none_is_refused(pressure):
+    with pytest.raises(ValueError, match="pressure"):
+        random_packing(100, pressure=pressure)

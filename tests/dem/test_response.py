@@ -183,3 +183,13 @@ def test_a_rank_without_points_has_nothing_to_do(packing):
     response = Response(packing, 0, BALANCED)
     assert response.deform(np.zeros((0, 2, 2))).stress.shape == (0, 2, 2)
     response.commit()
+
+
+def test_contacts_too_soft_for_their_pressure_are_warned_of_with_the_overlap():
+    with pytest.warns(UserWarning, match="overlap by up to 15%"):
+        Response(hexagonal(overlap=0.15), 1, BALANCED)
+
+
+def test_a_packing_of_grains_inside_each_other_is_refused():
+    with pytest.raises(ValueError, match="overlap by up to 60% of their diameter"):
+        Response(hexagonal(12, 12, overlap=0.6), 1, BALANCED)
