@@ -39,7 +39,14 @@ def main(comm: MPI.Comm) -> int:
             [
                 *("--packing", str(REFERENCE / "packing.h5"), "--formulation", args.formulation),
                 *("--strain", str(strain), "--accuracy", args.accuracy),
-                *("--operator", args.operator, "--mesh", *map(str, args.elements)),
+                *(
+                    "--operator",
+                    args.operator,
+                    "--element",
+                    "Q8",
+                    "--mesh",
+                    *map(str, args.elements),
+                ),
                 *("--output", comm.bcast(folder), "--quiet"),
             ]
         )
