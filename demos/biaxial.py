@@ -52,7 +52,7 @@ def arguments() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description="Drained biaxial compression, FEM x DEM.",
         epilog="Any other option goes to PETSc, e.g. -femxdem_snes_monitor.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        formatter_class=script.HelpFormatter,
     )
     specimen = parser.add_argument_group("specimen")
     specimen.add_argument("--width", type=float, default=0.05, help="m")

@@ -43,6 +43,13 @@ def _fail(comm: MPI.Comm, error: Exception) -> int:
     return USER_ERROR
 
 
+class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
+    """Defaults behind the help texts, but for options that say themselves what None means."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        return action.help if action.default is None else super()._get_help_string(action)
+
+
 def parse(parser: argparse.ArgumentParser, comm: MPI.Comm, arguments: Sequence[str] | None = None):
     """Parsed arguments; what argparse does not know goes to PETSc. Rank 0 alone prints.
 

@@ -31,3 +31,17 @@ def arrays_do_not_overlap(typingctx):
         return context.get_dummy_value()
 
     return types.void(), generate
+
+
+@intrinsic
+def stays_out_of_line(typingctx):
+    """First line of a kernel: never copy it into its callers.
+
+    It is then compiled once, and gives the same bits wherever it is called from.
+    """
+
+    def generate(context, builder, signature, args):
+        builder.function.attributes.add("noinline")
+        return context.get_dummy_value()
+
+    return types.void(), generate

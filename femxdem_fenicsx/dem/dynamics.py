@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from . import disks, neighbours, spheres
-from .aliasing import kernel
+from .aliasing import kernel, stays_out_of_line
+from .small import product
 
 #: Most steps between two looks at how far the grains have moved.
 LONGEST_BLIND_RUN = 16
@@ -87,6 +88,7 @@ def workspace(grains: int, dim: int, capacity: int, viscous: bool) -> Workspace:
 @kernel
 def start(material, work):
     """Build the pair list of the workspace's motion and give it the workspace's history."""
+    stays_out_of_line()
     count = neighbours.build(
         work.motion.box, work.motion.position, material.radius, material.inverse_mass,
         material.stiffness, material.modulus, material.viscosity, material.skin,
@@ -110,6 +112,7 @@ def advance(steps, dt, gradient, damping, material, work):
 @kernel
 def march(steps, dt, gradient, damping, material, work, inverse_radius):
     """`advance`, compiled for disks where `inverse_radius` is None and for spheres otherwise."""
+    stays_out_of_line()
     motion, forces, pairs = work.motion, work.forces, work.pairs
     box, x, v, w = motion.box, motion.position, motion.velocity, motion.rim_velocity
     growth = step_growth(gradient, dt)
@@ -184,23 +187,16 @@ def blind_run(velocity, gradient, reach, dt, slack):
 @kernel
 def step_growth(gradient, dt):
     """exp(L dt) - I for one step, (d, d)."""
-    total, term = gradient * dt, gradient * dt
-    for k in range(2, 12):
-        term = product(term, gradient) * (dt / k)
-        total = total + term
+    stays_out_of_line()
+    dim = gradient.shape[0]
+    total, term = np.zeros((dim, dim)), np.eye(dim)
+    for k in range(1, 12):
+        term = product(term, gradient)
+        for a in range(dim):
+            for b in range(dim):
+                term[a, b] *= dt / k
+                total[a, b] += term[a, b]
     return total
-
-
-@kernel
-def product(a, b):
-    """a b for small square matrices."""
-    dim = a.shape[0]
-    result = np.zeros((dim, dim))
-    for i in range(dim):
-        for j in range(dim):
-            for k in range(dim):
-                result[i, j] += a[i, k] * b[k, j]
-    return result
 
 
 @kernel
@@ -220,6 +216,7 @@ def deform_box(box, growth):
 @kernel
 def unbalance(work):
     """(largest net force on a grain, largest contact force) of the last step, N; eq. 19."""
+    stays_out_of_line()
     grain, pair = work.forces.grain, work.forces.pair
     dim = pair.shape[0]
     net = contact = 0.0

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import neighbours
-from .aliasing import kernel
+from .aliasing import kernel, stays_out_of_line
 from .packing import PAIRS_PER_GRAIN, Packing
+from .small import determinant
 
 
 @dataclass(frozen=True)
@@ -128,6 +129,7 @@ def measure(motion, pairs, cohesion, thickness, stress, fabric):
     The same sums as `stress` and `fabric`, from the positions of this moment. `overlap` is the
     largest, as a share of the mean diameter of its two grains.
     """
+    stays_out_of_line()
     box, position = motion.box, motion.position
     dim = box.shape[0]
     branch, force = np.zeros(3), np.zeros(3)
@@ -163,7 +165,7 @@ def measure(motion, pairs, cohesion, thickness, stress, fabric):
                 fabric[a, b] += branch[a] * branch[b] / squared
         contacts += 1
         overlap = max(overlap, (pairs.reach[c] - length) / pairs.reach[c])
-    stress /= abs(np.linalg.det(box)) * thickness
+    stress /= determinant(box) * thickness
     if contacts > 0:
         fabric /= contacts
     else:

@@ -12,6 +12,7 @@ from .dynamics import NO_ROOM, OK
 from .homogenisation import measure
 from .neighbours import remember
 from .packing import Packing
+from .small import product
 from .stability import stable_time_step
 
 #: Steps of a hold between two looks at its criterion.
@@ -93,13 +94,13 @@ def logarithm(F: np.ndarray) -> np.ndarray:
         )
     half_turn = ValueError("a deformation gradient turns by about 180 degrees in one increment")
     root, halvings = F.copy(), np.zeros((*F.shape[:-2], 1, 1))
-    while (far := np.abs(root - identity).max((-2, -1)) > 0.1).any():  # each F by itself, so that
-        root[far], halvings[far] = (
-            _square_root(root[far]),
-            halvings[far] + 1,
-        )  # others change no bit
+    far = np.abs(root - identity).max((-2, -1)) > 0.1
+    while far.any():  # the roots of one F must not depend on the others
+        root[far] = _square_root(root[far])
+        halvings[far] += 1
         if halvings.max() > 12 or not np.isfinite(root).all():
             raise half_turn
+        far = np.abs(root - identity).max((-2, -1)) > 0.1
     z = np.linalg.solve(root + identity, root - identity)
     square, term, total = z @ z, z, z
     for k in range(3, 21, 2):
@@ -167,7 +168,7 @@ def deform(
     count = history.first[-1]
     history.j[:count] = state[6][b, :count]
     history.tangential[:, :count] = state[7][b, :, :count]
-    final_box = F @ motion.box
+    final_box = product(F, motion.box)
     if dynamics.start(material, work) != OK:
         return NO_ROOM
 

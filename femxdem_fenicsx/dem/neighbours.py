@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .aliasing import kernel
+from .aliasing import kernel, stays_out_of_line
 from .contacts import normal_stiffness
+from .small import inverse, product, smallest_singular_value
 
 
 class Pairs(NamedTuple):
@@ -90,8 +91,14 @@ def allocate(grains: int, dim: int, capacity: int, viscous: bool) -> tuple[Pairs
 @kernel
 def box_heights(box):
     """Distances between opposite sides of the box (d,), m."""
-    inverse = np.linalg.inv(box)
-    return 1.0 / np.sqrt((inverse * inverse).sum(1))
+    rows = inverse(box)
+    heights = np.empty(len(box))
+    for a in range(len(box)):
+        squared = 0.0
+        for b in range(len(box)):
+            squared += rows[a, b] ** 2
+        heights[a] = 1.0 / np.sqrt(squared)
+    return heights
 
 
 @kernel
@@ -100,6 +107,7 @@ def build(box, position, radius, inverse_mass, constant, modulus, viscosity, ski
 
     Returns the number of pairs, or -1 where `pairs` has no room for them.
     """
+    stays_out_of_line()
     cells = fill_grid(box, position, 2.0 * radius.max() + skin, grid)
     count = search(box, position, radius, skin, cells, pairs, grid)
     if count < 0:
@@ -139,6 +147,7 @@ def point_along_branches(count, box, position, pairs, normal):
 @kernel
 def fill_grid(box, position, reach, grid):
     """Sort the grains into cells no narrower than `reach`; numbers of cells along the box (d,)."""
+    stays_out_of_line()
     dim, grains = position.shape
     heights = box_heights(box)
     most = int(grid.head.size ** (1.0 / dim) + 1e-9)
@@ -166,6 +175,7 @@ def fill_grid(box, position, reach, grid):
 @kernel
 def search(box, position, radius, skin, cells, pairs, grid):
     """Find all close pairs and sort them into rows; the number of pairs, or -1: no room."""
+    stays_out_of_line()
     count = find_pairs(box, radius, skin, cells, grid)
     if count < 0:
         return count
@@ -202,6 +212,7 @@ def find_pairs(box, radius, skin, cells, grid):
     A neighbour beyond the border is an image of the cell on the other side, so that few cells
     along the box, or one, need no special care. Returns their number, or -1: no room.
     """
+    stays_out_of_line()
     dim, total = len(cells), 1
     for a in range(dim):
         total *= cells[a]
@@ -255,6 +266,7 @@ def outdated(box, position, longest_reach, skin, pairs):
     with F the box's own deformation and d the reduced displacements, hence no shorter than
     s |b0| - 2 max |h d| with s the smallest singular value of F.
     """
+    stays_out_of_line()
     anchor = pairs.anchor
     largest = 0.0
     for i in range(position.shape[1]):
@@ -265,30 +277,14 @@ def outdated(box, position, longest_reach, skin, pairs):
             dx, dy = dx + box[0, 2] * z, dy + box[1, 2] * z
             dz = box[2, 0] * x + box[2, 1] * y + box[2, 2] * z
         largest = max(largest, dx * dx + dy * dy + dz * dz)
-    shrinkage = max(1.0 - smallest_stretch(box, pairs.anchor_box), 0.0)
+    shrinkage = max(1.0 - smallest_singular_value(product(box, inverse(pairs.anchor_box))), 0.0)
     return (2.0 * np.sqrt(largest) + shrinkage * (longest_reach + skin)) / skin
-
-
-@kernel
-def smallest_stretch(box, anchor_box):
-    """Smallest singular value of F = h h0^-1."""
-    dim = box.shape[0]
-    inverse = np.linalg.inv(anchor_box)
-    F = np.zeros((dim, dim))
-    for a in range(dim):
-        for b in range(dim):
-            for c in range(dim):
-                F[a, b] += box[a, c] * inverse[c, b]
-    if dim == 2:
-        sum_of_both = np.hypot(F[0, 0] + F[1, 1], F[1, 0] - F[0, 1])
-        difference = np.hypot(F[0, 0] - F[1, 1], F[1, 0] + F[0, 1])
-        return 0.5 * (sum_of_both - difference)
-    return np.sqrt(np.linalg.eigvalsh(F.T @ F)[0])
 
 
 @kernel
 def remember(pairs, history):
     """Store the tangential forces of the pair list, those that are not zero."""
+    stays_out_of_line()
     grains = pairs.first.size - 1
     components = pairs.tangential.shape[0]
     count = 0
@@ -309,6 +305,7 @@ def remember(pairs, history):
 @kernel
 def recall(pairs, history, grid):
     """Give the pairs of the list the tangential forces that the history holds for them."""
+    stays_out_of_line()
     grains = pairs.first.size - 1
     marker = grid.marker
     marker[:] = -1

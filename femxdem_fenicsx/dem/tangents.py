@@ -11,6 +11,7 @@ import numpy as np
 from . import dynamics, neighbours
 from .aliasing import kernel
 from .response import Response
+from .small import determinant
 
 #: Least size of the strain that a CTO is perturbed by; the step's own strain above it.
 LEAST_PERTURBATION = 1e-5
@@ -64,7 +65,7 @@ def _uko(b, state, material, work, C):
                 for q in range(dim):
                     for s in range(dim):
                         c[p, q, r, s] += directed * e[q] * e[s]
-    c /= abs(np.linalg.det(box))
+    c /= determinant(box)
     return dynamics.OK
 
 
