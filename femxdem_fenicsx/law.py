@@ -62,12 +62,14 @@ class Law(Protocol):
         ...
 
 
-class _PlaneStrain:
-    """State handling of the laws below: named arrays, a committed set and a trial set."""
+class _Analytic:
+    """State handling of the laws below: named arrays, a committed set and a trial set.
 
-    dim = 2
+    In 2D they are laws of plane strain.
+    """
 
-    def __init__(self, **state: np.ndarray):
+    def __init__(self, dim: int, **state: np.ndarray):
+        self.dim = dim
         self.size = len(next(iter(state.values())))
         self._state = state
         self._trial = state
@@ -88,14 +90,14 @@ class _PlaneStrain:
         self._trial = self._state
 
 
-def elasticity(young: float, poisson: float) -> np.ndarray:
-    """Isotropic plane-strain stiffness C_ijkl, (2, 2, 2, 2), Pa.
+def elasticity(young: float, poisson: float, dim: int = 2) -> np.ndarray:
+    """Isotropic stiffness C_ijkl, (d, d, d, d), Pa; of plane strain in 2D.
 
     Raises:
         ValueError: modulus not positive, or Poisson's ratio outside (-1, 0.5).
     """
     lame, shear = _lame(young, poisson)
-    delta = np.eye(2)
+    delta = np.eye(dim)
     return lame * np.einsum("ij,kl->ijkl", delta, delta) + shear * (
         np.einsum("ik,jl->ijkl", delta, delta) + np.einsum("il,jk->ijkl", delta, delta)
     )
@@ -109,7 +111,7 @@ def _lame(young: float, poisson: float) -> tuple[float, float]:
     return young * poisson / ((1 + poisson) * (1 - 2 * poisson)), young / (2 * (1 + poisson))
 
 
-class LinearElastic(_PlaneStrain):
+class LinearElastic(_Analytic):
     """Small-strain increments: stress = committed stress + C : sym(F - I).
 
     Not objective; it belongs to the `small` formulation.
@@ -118,26 +120,33 @@ class LinearElastic(_PlaneStrain):
         size: number of points.
         young: Young's modulus, Pa.
         poisson: Poisson's ratio.
-        initial_stress: (2, 2), Pa, the same everywhere; zero by default.
+        initial_stress: (d, d), Pa, the same everywhere; zero by default.
+        dim: 2 or 3.
     """
 
-    def __init__(self, size: int, young: float, poisson: float, initial_stress=None):
-        self._stiffness = elasticity(young, poisson)
-        stress = np.zeros((size, 2, 2))
+    def __init__(self, size: int, young: float, poisson: float, initial_stress=None, dim: int = 2):
+        self._stiffness = elasticity(young, poisson, dim)
+        stress = np.zeros((size, dim, dim))
         if initial_stress is not None:
             stress += initial_stress
-        super().__init__(stress=stress)
+        super().__init__(dim, stress=stress)
+
+    @property
+    def stress(self) -> np.ndarray:
+        """Committed stress (n, d, d), Pa."""
+        return self._state["stress"]
 
     def evaluate(self, F: np.ndarray) -> np.ndarray:
-        stress = self._state["stress"] + np.einsum("ijkl,nkl->nij", self._stiffness, F - np.eye(2))
+        strain = F - np.eye(self.dim)
+        stress = self._state["stress"] + np.einsum("ijkl,nkl->nij", self._stiffness, strain)
         self._trial = {"stress": stress}
         return stress
 
     def tangent(self) -> np.ndarray:
-        return np.broadcast_to(self._stiffness, (self.size, 2, 2, 2, 2))
+        return np.broadcast_to(self._stiffness, (self.size, *self._stiffness.shape))
 
 
-class NeoHookean(_PlaneStrain):
+class NeoHookean(_Analytic):
     """Compressible neo-Hookean solid: stress = (mu (b - I) + lambda ln(J) I) / J, b = F F^T.
 
     Objective, and a function of the total deformation gradient: the end of a path does not
@@ -147,26 +156,36 @@ class NeoHookean(_PlaneStrain):
         size: number of points.
         young: Young's modulus at small strain, Pa.
         poisson: Poisson's ratio at small strain.
+        dim: 2 or 3.
     """
 
-    def __init__(self, size: int, young: float, poisson: float):
+    def __init__(self, size: int, young: float, poisson: float, dim: int = 2):
         self._lambda, self._mu = _lame(young, poisson)
-        super().__init__(F=np.broadcast_to(np.eye(2), (size, 2, 2)).copy())
+        super().__init__(dim, F=np.broadcast_to(np.eye(dim), (size, dim, dim)).copy())
+
+    @property
+    def stress(self) -> np.ndarray:
+        """Committed stress (n, d, d), Pa."""
+        return self._stress(self._state["F"])[0]
 
     def evaluate(self, F: np.ndarray) -> np.ndarray:
         total = F @ self._state["F"]
-        volume = np.linalg.det(total)[:, None, None]
-        b = total @ total.transpose(0, 2, 1)
-        delta = np.eye(2)
-        stress = (self._mu * (b - delta) + self._lambda * np.log(volume) * delta) / volume
+        stress, volume, b = self._stress(total)
         self._trial = {"F": total}
         self._last = (np.linalg.inv(F), volume[..., None, None], b, stress)
         return stress
 
+    def _stress(self, F: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Stress, J (n, 1, 1) and b at the total F."""
+        volume = np.linalg.det(F)[:, None, None]
+        b, delta = F @ F.transpose(0, 2, 1), np.eye(self.dim)
+        stress = (self._mu * (b - delta) + self._lambda * np.log(volume) * delta) / volume
+        return stress, volume, b
+
     def tangent(self) -> np.ndarray:
         """With dF F^-1 = L: db = L b + b L^T and dJ = J tr L."""
         inverse, volume, b, stress = self._last
-        delta = np.eye(2)
+        delta = np.eye(self.dim)
         db = np.einsum("ik,njl->nijkl", delta, b @ inverse.transpose(0, 2, 1)) + np.einsum(
             "nil,jk->nijkl", b @ inverse.transpose(0, 2, 1), delta
         )
@@ -174,7 +193,7 @@ class NeoHookean(_PlaneStrain):
         return self._mu / volume * db - np.einsum("nij,nlk->nijkl", stress, inverse) + isotropic
 
 
-class Softening(_PlaneStrain):
+class Softening(_Analytic):
     """Isotropic damage: stress = (1 - D) C : strain, strains small and summed over the steps.
 
     With kappa the largest norm of strain so far, 1 - D = min(1, (k0 / kappa) exp(1 - kappa / k0)):
@@ -185,17 +204,24 @@ class Softening(_PlaneStrain):
         young: Young's modulus, Pa.
         poisson: Poisson's ratio.
         threshold: k0, the strain norm at the peak; one value, or one per point (size,).
+        dim: 2 or 3.
     """
 
-    def __init__(self, size: int, young: float, poisson: float, threshold):
-        self._stiffness = elasticity(young, poisson)
+    def __init__(self, size: int, young: float, poisson: float, threshold, dim: int = 2):
+        self._stiffness = elasticity(young, poisson, dim)
         self._threshold = np.broadcast_to(np.asarray(threshold, dtype=float), (size,)).copy()
         if not (self._threshold > 0).all():
             raise ValueError(f"softening threshold {self._threshold.min()}: it must be positive")
-        super().__init__(strain=np.zeros((size, 2, 2)), kappa=self._threshold)
+        super().__init__(dim, strain=np.zeros((size, dim, dim)), kappa=self._threshold)
+
+    @property
+    def stress(self) -> np.ndarray:
+        """Committed stress (n, d, d), Pa."""
+        elastic = np.einsum("ijkl,nkl->nij", self._stiffness, self._state["strain"])
+        return self._intact(self._state["kappa"])[:, None, None] * elastic
 
     def evaluate(self, F: np.ndarray) -> np.ndarray:
-        strain = self._state["strain"] + 0.5 * (F + F.transpose(0, 2, 1)) - np.eye(2)
+        strain = self._state["strain"] + 0.5 * (F + F.transpose(0, 2, 1)) - np.eye(self.dim)
         kappa = np.maximum(self._state["kappa"], np.linalg.norm(strain, axis=(1, 2)))
         elastic = np.einsum("ijkl,nkl->nij", self._stiffness, strain)
         intact = self._intact(kappa)

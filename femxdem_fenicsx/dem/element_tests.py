@@ -83,7 +83,7 @@ def increment(
     )
 
 
-def drained_biaxial(
+def drained_compression(
     law,
     confining: float,
     strain: float,
@@ -91,25 +91,31 @@ def drained_biaxial(
     free_shear: bool = False,
     tolerance: float = 1e-3,
 ) -> Iterator[ElementState]:
-    """Axial compression along y under constant lateral pressure; one state per increment.
+    """Axial compression along the last axis under constant lateral pressure; state by state.
+
+    In 2D that is a biaxial test, in 3D a triaxial one.
 
     Args:
-        law: of size 1, two-dimensional.
+        law: of size 1, two- or three-dimensional.
         confining: lateral pressure, Pa, compression positive.
         strain: engineering axial strain to reach, compression positive.
         step: of it per increment.
-        free_shear: whether the box may shear sideways so that sigma_xy = 0, as a specimen between
-            smooth plates may, or is kept rectangular.
+        free_shear: whether the box may shear sideways so that the shear stress vanishes, as a
+            specimen between smooth plates may, or is kept rectangular.
         tolerance: of the prescribed stress, over the confining pressure.
     """
-    controlled = np.array([[True, free_shear], [False, False]])
-    target = np.diag([-confining, 0.0])
-    deformation = np.eye(2)
-    guess = np.eye(2)
+    d = law.dim
+    controlled = np.diag(np.arange(d) < d - 1) | np.triu(np.full((d, d), free_shear), 1)
+    target = -confining * np.eye(d)
+    deformation = np.eye(d)
+    guess = np.eye(d)
     for _ in range(round(strain / step)):
-        height = deformation[1, 1]
-        guess[1, 1] = (height - step) / height
+        height = deformation[-1, -1]
+        guess[-1, -1] = (height - step) / height
         F, state = increment(law, guess, controlled, target, tolerance * confining)
         deformation = F @ deformation
         guess = F
         yield ElementState(deformation, state.stress, state.evaluations, state.error)
+
+
+drained_biaxial = drained_compression

@@ -125,8 +125,18 @@ def quadrature_rule(cell: str, degree: int) -> tuple[np.ndarray, np.ndarray]:
     return basix.make_quadrature(getattr(basix.CellType, cell), degree)
 
 
+def vertex_weights(cell: str, degree: int) -> np.ndarray:
+    """Weights of a cell's vertices (v) at its Lagrange nodes of `degree` (k), (k, v).
+
+    Both in DOLFINx' order, for cells with straight edges.
+    """
+    kind, lagrange = getattr(basix.CellType, cell), basix.ElementFamily.P
+    nodes = basix.create_element(lagrange, kind, degree).points
+    return basix.create_element(lagrange, kind, 1).tabulate(0, nodes)[0, :, :, 0].round(12)
+
+
 def xdmf_tensors(values: np.ndarray) -> np.ndarray:
-    """Tensors (n, 2, 2) in the shape that XDMFFile writes with each component in its place.
+    """Tensors (n, d, d) in the shape that XDMFFile writes with each component in its place.
 
     0.5 fills them up to 3 x 3, and takes 3 x 3 in 2D for nodal values; 0.9 does not fill up.
     """

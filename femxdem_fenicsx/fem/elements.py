@@ -14,8 +14,8 @@ class Element:
     """A displacement element and the quadrature rule of the law's points.
 
     Attributes:
-        name: Q4, Q8, Q9 or T6.
-        cell: "quadrilateral" or "triangle".
+        name: Q4, Q8, Q9 or T6 in 2D; H8, H27, T4 or T10 in 3D.
+        cell: "quadrilateral", "triangle", "hexahedron" or "tetrahedron".
         degree: degree of the displacement, and of the mesh's geometry that moves with it.
         quadrature_degree: degree that Basix' default scheme integrates exactly.
         points_per_cell: number of quadrature points.
@@ -26,6 +26,17 @@ class Element:
     degree: int
     quadrature_degree: int
     points_per_cell: int
+
+    @property
+    def dim(self) -> int:
+        """Dimension of the space that it fills."""
+        return 2 if self.cell in ("quadrilateral", "triangle") else 3
+
+    def check_dim(self, dim: int) -> None:
+        """Raise ValueError, with the elements to choose from, where it is for another dimension."""
+        if self.dim != dim:
+            known = ", ".join(names(dim))
+            raise ValueError(f"element {self.name} is for {self.dim}D: choose one of {known}")
 
     def space(self, mesh):
         """Space of displacements (m) on a mesh made for this element."""
@@ -55,11 +66,20 @@ ELEMENTS = {
     },
     "Q9": {"3x3": Element("Q9", "quadrilateral", 2, 4, 9)},
     "T6": {"3": Element("T6", "triangle", 2, 2, 3)},
+    "H8": {"2x2x2": Element("H8", "hexahedron", 1, 2, 8)},
+    "H27": {"3x3x3": Element("H27", "hexahedron", 2, 4, 27)},
+    "T4": {"1": Element("T4", "tetrahedron", 1, 1, 1)},
+    "T10": {"4": Element("T10", "tetrahedron", 2, 2, 4)},
 }
 
 
+def names(dim: int) -> list[str]:
+    """Names of the elements for that dimension."""
+    return [name for name, choices in ELEMENTS.items() if next(iter(choices.values())).dim == dim]
+
+
 def element(name: str, points: str | None = None) -> Element:
-    """The element `name`, with `points` ("2x2", "3x3", "3") or its default quadrature.
+    """The element `name`, with `points` ("2x2", "3x3", "3", ...) or its default quadrature.
 
     Raises:
         ValueError: unknown element, or points that this element cannot have. Q9 with 2x2 points

@@ -17,7 +17,7 @@ class MeshMotion:
 
     Args:
         increment: displacement of one step, in any space on the mesh.
-        cell: "quadrilateral" or "triangle".
+        cell: type of the mesh's cells.
         degree: degree of the geometry.
     """
 

@@ -59,10 +59,15 @@ class QuadraturePoints:
         return np.einsum("cq,cq...->c...", weights, by_cell)
 
     def cell_corners(self) -> np.ndarray:
-        """Corners of each owned cell in the present geometry, in order around it, (c, k, gdim)."""
+        """Corners of each owned cell in the present geometry, in order around it, (c, k, 2).
+
+        Raises ValueError for a mesh in 3D, whose cells have no order around them.
+        """
+        if self.mesh.geometry.dim != 2:
+            raise ValueError("corners in order around a cell: there is such an order in 2D alone")
         corners = [0, 1, 3, 2] if self.element.cell == "quadrilateral" else [0, 1, 2]
         nodes = _dolfinx.geometry_dofmap(self.mesh)[: len(self.cells)][:, corners]
-        return self.mesh.geometry.x[nodes][..., : self.mesh.geometry.dim]
+        return self.mesh.geometry.x[nodes][..., :2]
 
     def gather(self, *by_cell: np.ndarray) -> tuple[np.ndarray, ...] | None:
         """Arrays (c, ...) of owned cells, put together for the whole mesh on rank 0; else None.
