@@ -20,6 +20,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "demos")]
 import biaxial  # noqa: E402
 
 from femxdem_fenicsx import script  # noqa: E402
+from femxdem_fenicsx.arguments import packing_for  # noqa: E402
 
 REFERENCE = ROOT / "tests" / "data" / "yade"
 
@@ -50,13 +51,13 @@ def main(comm: MPI.Comm) -> int:
                 *("--output", comm.bcast(folder), "--quiet"),
             ]
         )
-        specimen = biaxial.Specimen(scene, biaxial.packing_for(scene, comm), comm)
+        specimen = biaxial.specimen_for(scene, packing_for(scene, comm, scene.dim), comm)
         specimen.law.evaluate(np.tile(np.eye(2), (specimen.points.size, 1, 1)))  # compiles
         specimen.law.tangent()
         specimen.law.discard()
         specimen.law.tally.clear()
         started = perf_counter()
-        run = biaxial.load(specimen, scene)
+        run = biaxial.compress(specimen, scene)
         wall = perf_counter() - started
     result = figures(specimen, run, wall)
     result["against_escript_yade"] = comparison(run.rows, args.elements)

@@ -68,3 +68,6 @@ def _increment(tangent, du):
             for i in range(d)
         ]
     )
+
+
+FORMULATIONS = {"small": small, "finite": finite}
