@@ -128,7 +128,12 @@ def packing_for(args: argparse.Namespace, comm: MPI.Comm, dim: int) -> Packing:
 
     Random grains are thrown into a wide periodic box, which is compressed to the pressure of the
     test. Their contacts are linear with Coulomb friction.
+
+    Raises ValueError for another dimension, a file that is no such packing, and arguments that
+    make no packing.
     """
+    if dim not in (2, 3):
+        raise ValueError(f"grains of {dim} dimensions: they are disks (2) or spheres (3)")
 
     def prepare() -> Packing | None:
         if comm.rank > 0:

@@ -11,52 +11,68 @@ LAWS = {
     "linear elastic": lambda: LinearElastic(SIZE, 100.0, 0.3, initial_stress=-np.eye(2)),
     "neo-Hookean": lambda: NeoHookean(SIZE, 100.0, 0.3),
     "softening": lambda: Softening(SIZE, 100.0, 0.3, threshold=0.05),
+    "linear elastic in 3D": lambda: LinearElastic(SIZE, 100.0, 0.3, -np.eye(3), dim=3),
+    "neo-Hookean in 3D": lambda: NeoHookean(SIZE, 100.0, 0.3, dim=3),
+    "softening in 3D": lambda: Softening(SIZE, 100.0, 0.3, threshold=0.05, dim=3),
 }
 
 
 @pytest.fixture(params=LAWS)
-def law(request):
-    return LAWS[request.param]()
+def make(request):
+    return LAWS[request.param]
 
 
-def deformation(seed: int, amplitude: float = 0.1) -> np.ndarray:
-    return np.eye(2) + amplitude * np.random.default_rng(seed).uniform(-1, 1, (SIZE, 2, 2))
+@pytest.fixture
+def law(make):
+    return make()
+
+
+def deformation(seed: int, dim: int = 2, amplitude: float = 0.1) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.eye(dim) + amplitude * rng.uniform(-1, 1, (SIZE, dim, dim))
 
 
 def test_tangent_is_the_derivative_of_the_stress_by_the_increment(law):
-    law.evaluate(deformation(1))
+    law.evaluate(deformation(1, law.dim))
     law.commit()
-    F, h = deformation(2), 1e-6
+    F, h = deformation(2, law.dim), 1e-6
     law.evaluate(F)
     C = law.tangent()
-    for k in range(2):
-        for m in range(2):
-            step = np.zeros((2, 2))
+    for k in range(law.dim):
+        for m in range(law.dim):
+            step = np.zeros((law.dim, law.dim))
             step[k, m] = h
             difference = (law.evaluate(F + step) - law.evaluate(F - step)) / (2 * h)
             np.testing.assert_allclose(C[..., k, m], difference, atol=2e-6)
 
 
 def test_evaluate_is_a_function_of_F_alone_until_the_commit(law):
-    F = deformation(3)
+    F = deformation(3, law.dim)
     first = law.evaluate(F).copy()
-    law.evaluate(deformation(4))
+    law.evaluate(deformation(4, law.dim))
     law.discard()
     law.commit()  # nothing to commit any more
     np.testing.assert_array_equal(law.evaluate(F), first)
 
 
-def test_saved_state_comes_back_bit_for_bit(law, tmp_path):
-    law.evaluate(deformation(5))
+def test_saved_state_comes_back_bit_for_bit(make, tmp_path):
+    law, again = make(), make()
+    law.evaluate(deformation(5, law.dim))
     law.commit()
-    again = LAWS[
-        {LinearElastic: "linear elastic", NeoHookean: "neo-Hookean"}.get(type(law), "softening")
-    ]()
     with h5py.File(tmp_path / "law.h5", "w") as file:
         law.save(file.create_group("law"))
         again.load(file["law"])
-    F = deformation(6)
+    F = deformation(6, law.dim)
     np.testing.assert_array_equal(again.evaluate(F), law.evaluate(F))
+    np.testing.assert_array_equal(again.stress, law.stress)
+
+
+def test_the_committed_stress_is_what_no_further_deformation_gives(law):
+    law.evaluate(deformation(5, law.dim))
+    law.commit()
+    law.evaluate(deformation(6, law.dim))
+    rest = np.tile(np.eye(law.dim), (SIZE, 1, 1))
+    np.testing.assert_allclose(law.stress, law.evaluate(rest), rtol=1e-13)
 
 
 def test_neo_hookean_stress_depends_on_the_total_deformation_only_and_turns_with_it():

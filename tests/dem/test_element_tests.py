@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from femxdem_fenicsx.dem.accuracy import PRESETS
-from femxdem_fenicsx.dem.element_tests import drained_biaxial, increment
+from femxdem_fenicsx.dem.element_tests import drained_biaxial, drained_compression, increment
 from femxdem_fenicsx.homogenised_law import HomogenisedLaw
 from femxdem_fenicsx.law import LinearElastic, NeoHookean
 from tests.reference import reference_packing, table
@@ -47,6 +47,21 @@ def test_a_free_shear_lets_the_shear_stress_go_and_a_rectangular_box_keeps_it():
     assert free[-1].deformation[1, 0] == 0.0
     assert kept[-1].stress[0, 1] == pytest.approx(2e4)
     assert kept[-1].deformation[0, 1] == 0.0
+
+
+def test_triaxial_compression_of_an_elastic_solid_has_youngs_modulus_and_poissons_ratio():
+    initial = -CONFINING * np.eye(3)
+    initial[0, 1] = initial[1, 0] = initial[1, 2] = initial[2, 1] = 1e3
+    law = LinearElastic(1, YOUNG, POISSON, initial, dim=3)
+    (state,) = drained_compression(law, CONFINING, 1e-3, 1e-3, free_shear=True, tolerance=1e-9)
+    strain = 0.5 * (state.deformation + state.deformation.T) - np.eye(3)
+    shear = -1e3 / (2 * SHEAR)
+    lateral = POISSON * 1e-3
+    expected = [[lateral, shear, 0.0], [shear, lateral, shear], [0.0, shear, -1e-3]]
+    np.testing.assert_allclose(strain, expected, atol=1e-12)
+    assert (np.tril(state.deformation, -1) == 0).all()
+    assert state.stress_ratio == pytest.approx(1 + YOUNG * 1e-3 / CONFINING)
+    assert state.axial_strain == pytest.approx(1e-3)
 
 
 def test_a_nonlinear_solid_reaches_the_stress_within_the_tolerance():

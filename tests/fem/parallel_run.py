@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
+from femxdem_fenicsx.fem.elements import element
 from femxdem_fenicsx.fem.stepping import LoadStepping, walk
 from femxdem_fenicsx.law import Softening
 from tests.fem.laws import Failing, Fragile
@@ -21,10 +22,11 @@ def by_number(points) -> np.ndarray:
 
 def numbers() -> dict:
     found = {}
-    for name in ("Q4", "Q8", "T6"):
+    for name in ("Q4", "Q8", "T6", "H8", "T10"):
+        dim = element(name).dim
         for formulation in ("small", "finite"):
             specimen = Specimen(
-                lambda points: Softening(points.size, 100.0, 0.3, by_number(points)),
+                lambda points, dim=dim: Softening(points.size, 100.0, 0.3, by_number(points), dim),
                 name=name,
                 formulation=formulation,
                 rough=True,

@@ -1,4 +1,4 @@
-"""A rectangular specimen for the tests: platens above and below, pressure on the sides."""
+"""A specimen for the tests, in 2D and 3D: platens above and below, pressure on the sides."""
 
 from __future__ import annotations
 
@@ -14,13 +14,16 @@ from femxdem_fenicsx.fem.problem import Convergence, Problem
 from femxdem_fenicsx.fem.quadrature_points import QuadraturePoints
 from femxdem_fenicsx.law import Law
 from forms import first_gradient
-from meshes.rectangle import BOTTOM, LEFT, RIGHT, TOP, rectangle, sides, vertex_near
+from meshes import box, rectangle
 
 WIDTH, HEIGHT = 1.0, 2.0
 
 
 class Specimen:
-    """1 m x 2 m; the bottom is smooth with one point fixed, the top is moved by `top`."""
+    """1 m x 2 m, or 1 m x 1 m x 2 m for an element in 3D; the top is moved by `top`.
+
+    The bottom is smooth, with one point fixed, and another one against rotation in 3D.
+    """
 
     def __init__(
         self,
@@ -28,8 +31,8 @@ class Specimen:
         *,
         name: str = "Q8",
         formulation: str = "finite",
-        cells: tuple[int, int] = (2, 3),
-        distortion: float = 0.2,
+        cells: tuple[int, ...] | None = None,
+        distortion: float | None = None,
         rough: bool = False,
         axial_load: bool = False,
         tolerance: float = 1e-10,
@@ -37,8 +40,19 @@ class Specimen:
         comm: MPI.Comm = MPI.COMM_WORLD,
     ):
         kind = element(name)
-        self.mesh = mesh = rectangle(comm, WIDTH, HEIGHT, *cells, kind, distortion)
-        tags = sides(mesh, WIDTH, HEIGHT)
+        if kind.dim == 2:
+            size, shape = (WIDTH, HEIGHT), rectangle
+            distortion = 0.2 if distortion is None else distortion
+            mesh = rectangle.rectangle(comm, *size, *(cells or (2, 3)), kind, distortion)
+            tags = rectangle.sides(mesh, *size)
+            lateral = (rectangle.LEFT, rectangle.RIGHT)
+        else:
+            size, shape = (WIDTH, WIDTH, HEIGHT), box
+            distortion = 0.15 if distortion is None else distortion
+            mesh = box.box(comm, size, cells or (2, 2, 3), kind, distortion)
+            tags = box.sides(mesh, size)
+            lateral = (box.LEFT, box.RIGHT, box.FRONT, box.BACK)
+        self.mesh = mesh
         self.points = QuadraturePoints(mesh, kind)
         self.law = make_law(self.points)
         self.u = u = fem.Function(kind.space(mesh))
@@ -48,20 +62,28 @@ class Specimen:
         self.pressure, self.axial = fem.Constant(mesh, 0.0), fem.Constant(mesh, 0.0)
         self.top, zero = fem.Constant(mesh, 0.0), fem.Constant(mesh, 0.0)
         ds = kind.ds(mesh, tags)
-        loads = [(self.pressure, ds((LEFT, RIGHT))), (self.axial, ds(TOP))]
+        loads = [(self.pressure, ds(lateral)), (self.axial, ds(shape.TOP))]
         residual, jacobian = getattr(first_gradient, formulation)(
             u, self.operator.stress, self.operator.tangent, kind.dx(mesh), loads
         )
-        x, y = u.function_space.sub(0), u.function_space.sub(1)
-        self.top_dofs = fem.locate_dofs_topological(y, 1, tags.find(TOP))
-        bottom = fem.locate_dofs_topological(y, 1, tags.find(BOTTOM))
-        point = fem.locate_dofs_topological(x, 0, vertex_near(mesh, WIDTH / 2, 0.0))
-        bcs = [fem.dirichletbc(zero, bottom, y), fem.dirichletbc(zero, point, x)]
+        V, facet = u.function_space, kind.dim - 1
+        *across, axial = (V.sub(axis) for axis in range(kind.dim))
+        self.top_dofs = fem.locate_dofs_topological(axial, facet, tags.find(shape.TOP))
+        bottom = fem.locate_dofs_topological(axial, facet, tags.find(shape.BOTTOM))
+        bcs = [fem.dirichletbc(zero, bottom, axial)]
+        held = [(component, [WIDTH / 2] * len(across)) for component in across]
+        if kind.dim == 3:
+            held.append((across[1], [WIDTH, WIDTH / 2]))
+        for component, place in held:
+            vertex = shape.vertex_near(mesh, *place, 0.0)
+            dofs = fem.locate_dofs_topological(component, 0, vertex)
+            bcs.append(fem.dirichletbc(zero, dofs, component))
         if not axial_load:
-            bcs.append(fem.dirichletbc(self.top, self.top_dofs, y))
+            bcs.append(fem.dirichletbc(self.top, self.top_dofs, axial))
         if rough:
-            rough_dofs = fem.locate_dofs_topological(x, 1, tags.find(TOP))
-            bcs.append(fem.dirichletbc(zero, rough_dofs, x))
+            for component in across:
+                dofs = fem.locate_dofs_topological(component, facet, tags.find(shape.TOP))
+                bcs.append(fem.dirichletbc(zero, dofs, component))
         self.problem = Problem(
             u, residual, jacobian, self.operator, bcs, Convergence(tolerance, None, max_iterations)
         )
@@ -77,4 +99,4 @@ class Specimen:
         return self.mesh.comm.allreduce(float(self.points.volumes().sum()))
 
     def committed_stress(self) -> np.ndarray:
-        return self.law.evaluate(np.tile(np.eye(2), (self.points.size, 1, 1)))
+        return self.law.evaluate(np.tile(np.eye(self.law.dim), (self.points.size, 1, 1)))

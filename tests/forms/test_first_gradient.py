@@ -13,51 +13,55 @@ from femxdem_fenicsx.fem.problem import Convergence, Problem
 from femxdem_fenicsx.fem.quadrature_points import QuadraturePoints
 from femxdem_fenicsx.law import LinearElastic, NeoHookean, elasticity
 from forms import first_gradient
+from meshes.box import box
 from meshes.rectangle import rectangle
 from tests.fem.specimen import HEIGHT, WIDTH, Specimen
 
 ELEMENTS = [("Q4", None), ("Q8", "2x2"), ("Q8", "3x3"), ("Q9", None), ("T6", None)]
-GRADIENT = np.array([[0.03, 0.02], [-0.01, -0.05]])
+ELEMENTS_3D = [("H8", None), ("H27", None), ("T4", None), ("T10", None)]
+GRADIENT = np.array([[0.03, 0.02, 0.01], [-0.01, -0.05, 0.02], [0.015, -0.02, 0.04]])
 E, NU = 100.0, 0.3
 
 
-def linear(x):
-    return GRADIENT @ x[:2]
-
-
-@pytest.mark.parametrize("name, points", ELEMENTS)
+@pytest.mark.parametrize("name, points", ELEMENTS + ELEMENTS_3D)
 @pytest.mark.parametrize("formulation, law", [("small", LinearElastic), ("finite", NeoHookean)])
 def test_patch_of_distorted_cells_deforms_as_its_boundary_step_after_step(
     name, points, formulation, law
 ):
     kind = element(name, points)
-    domain = rectangle(MPI.COMM_WORLD, 1.0, 2.0, 3, 3, kind, distortion=0.25)
+    d, world = kind.dim, MPI.COMM_WORLD
+    if d == 2:
+        domain = rectangle(world, 1.0, 2.0, 3, 3, kind, distortion=0.25)
+    else:
+        domain = box(world, (1.0, 1.0, 2.0), (2, 3, 3), kind, distortion=0.15)
+    gradient = GRADIENT[:d, :d]
     at = QuadraturePoints(domain, kind)
-    material = law(at.size, E, NU)
+    material = law(at.size, E, NU, dim=d)
     u = fem.Function(kind.space(domain))
     operator = ExternalOperator(first_gradient.deformation_gradient(u), material, at)
     residual, jacobian = getattr(first_gradient, formulation)(
         u, operator.stress, operator.tangent, kind.dx(domain)
     )
-    boundary = mesh.locate_entities_boundary(domain, 1, lambda x: np.full(x.shape[1], True))
+    boundary = mesh.locate_entities_boundary(domain, d - 1, lambda x: np.full(x.shape[1], True))
     prescribed = fem.Function(u.function_space)
-    bc = fem.dirichletbc(prescribed, fem.locate_dofs_topological(u.function_space, 1, boundary))
+    dofs = fem.locate_dofs_topological(u.function_space, d - 1, boundary)
+    bc = fem.dirichletbc(prescribed, dofs)
     problem = Problem(u, residual, jacobian, operator, [bc], Convergence(1e-13))
-    deformation = np.eye(2)
+    step, deformation = np.eye(d) + gradient, np.eye(d)
     before = at.coordinates()
     for _ in range(2):  # the second step starts from the moved mesh
-        prescribed.interpolate(linear)
+        prescribed.interpolate(lambda x: gradient @ x[:d])
         assert problem.solve().converged
         problem.accept()
-        deformation = (np.eye(2) + GRADIENT) @ deformation
-    exact = law(1, E, NU)
+        deformation = step @ deformation
+    exact = law(1, E, NU, dim=d)
     if formulation == "small":
-        exact.evaluate(np.eye(2) + GRADIENT[None])
+        exact.evaluate(step[None])
         exact.commit()
-        stress = exact.evaluate(np.eye(2) + GRADIENT[None])
+        stress = exact.evaluate(step[None])
     else:
         stress = exact.evaluate(deformation[None])
-    found = material.evaluate(np.tile(np.eye(2), (at.size, 1, 1)))
+    found = material.evaluate(np.tile(np.eye(d), (at.size, 1, 1)))
     np.testing.assert_allclose(found, np.tile(stress, (at.size, 1, 1)), atol=1e-10)
     np.testing.assert_allclose(at.coordinates(), before @ deformation.T, atol=1e-10)
 
@@ -102,6 +106,27 @@ def test_neo_hookean_biaxial_compression_by_30_percent_under_follower_pressure(n
     assert specimen.top_force() == pytest.approx(force, rel=1e-9)
     assert specimen.volume() == pytest.approx(0.7 * lateral * WIDTH * HEIGHT, rel=1e-10)
     assert lateral > 1.05  # so that the pressure acts on a turned and stretched side
+
+
+@pytest.mark.parametrize("name", ["H8", "T4", "T10"])
+def test_neo_hookean_triaxial_compression_by_20_percent_under_follower_pressure(name):
+    cell_pressure, steps = 5.0, 4
+    specimen = Specimen(
+        lambda points: NeoHookean(points.size, E, NU, dim=3), name=name, tolerance=1e-12
+    )
+    specimen.pressure.value = cell_pressure
+    for step in range(steps):
+        specimen.compress(0.2 * step / steps, 0.2 * (step + 1) / steps)
+        assert specimen.problem.solve().converged
+        specimen.problem.accept()
+
+    def stress(lateral: float) -> np.ndarray:
+        return NeoHookean(1, E, NU, dim=3).evaluate(np.diag([lateral, lateral, 0.8])[None])[0]
+
+    lateral = brentq(lambda s: stress(s)[0, 0] + cell_pressure, 0.5, 2.0, xtol=1e-14)
+    force = stress(lateral)[2, 2] * (lateral * WIDTH) ** 2
+    assert specimen.top_force() == pytest.approx(force, rel=1e-9)
+    assert specimen.volume() == pytest.approx(0.8 * (lateral * WIDTH) ** 2 * HEIGHT, rel=1e-10)
 
 
 def test_dead_pressure_of_the_small_formulation_ignores_the_new_width():
