@@ -36,6 +36,11 @@ def reference_packing() -> Packing:
     return load_packing(DATA / "packing.h5")
 
 
+def reference_spheres() -> Packing:
+    """YADE's spheres from the file that demos and benchmarks read."""
+    return load_packing(DATA / "spheres.h5", dim=3)
+
+
 def table(name: str) -> np.ndarray:
     """One of the CSV files, columns by name."""
     return np.genfromtxt(DATA / name, delimiter=",", names=True)

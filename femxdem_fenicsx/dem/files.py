@@ -60,12 +60,14 @@ def load_packing(path: str | Path, dim: int = 2) -> Packing:
             _check_header(path, file, dim)
             arrays = {name: file[name][()] for name in ARRAYS}
             law = {name: float(file["law"].attrs[name]) for name in LAW}
+            scheme = str(file["law"].attrs["scheme"])
             density, thickness = float(file.attrs["density"]), float(file.attrs["thickness"])
     except (OSError, KeyError, RuntimeError, TypeError) as error:
         reason = str(error).strip("'\"").splitlines()[0]
         raise ValueError(f"{path}: the packing file is truncated or damaged ({reason})") from None
     try:
-        contact = LinearContact(**{k: None if np.isnan(v) else v for k, v in law.items()})
+        given = {name: None if np.isnan(value) else value for name, value in law.items()}
+        contact = LinearContact(**given, scheme=scheme)
         return Packing(law=contact, density=density, thickness=thickness, **arrays)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None

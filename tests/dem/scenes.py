@@ -81,7 +81,7 @@ class Moving:
 
     @property
     def velocity(self) -> np.ndarray:
-        """(N, 2) m/s, half a step before the positions."""
+        """(N, d) m/s, half a step before the positions."""
         return self.work.motion.velocity.T
 
     @property
@@ -108,12 +108,12 @@ class Moving:
 
 
 def pairs_closer_than_reach_plus(skin: float, box, positions, radii) -> dict:
-    """Brute force: {(i, j): image shift of j} of all pairs, over 7 x 7 images of the box."""
+    """Brute force: {(i, j): image shift of j} of all pairs, over 7^d images of the box."""
     box, positions = np.asarray(box), np.asarray(positions)
     i, j = np.triu_indices(len(radii), 1)
     nearest = -np.rint(positions[j] - positions[i])
     found = {}
-    for image in np.stack(np.meshgrid(np.arange(-3, 4), np.arange(-3, 4)), -1).reshape(-1, 2):
+    for image in np.array(list(np.ndindex(*[7] * len(box)))) - 3:
         shift = nearest + image
         branch = (positions[j] - positions[i] + shift) @ box.T
         near = np.flatnonzero((branch**2).sum(1) < (radii[i] + radii[j] + skin) ** 2)
@@ -122,3 +122,39 @@ def pairs_closer_than_reach_plus(skin: float, box, positions, radii) -> dict:
             assert pair not in found, "a grain meets two images of another"
             found[pair] = tuple(shift[k])
     return found
+
+
+def two_spheres(
+    gap: float,
+    law: LinearContact = FRICTIONLESS,
+    radii=(RADIUS, RADIUS),
+    direction=(1.0, 0.0, 0.0),
+) -> Packing:
+    """Two spheres in a wide box, that far apart (m) along a direction."""
+    box = 40 * max(radii)
+    branch = (sum(radii) + gap) * np.array(direction) / np.linalg.norm(direction)
+    positions = np.array([-0.5 * branch, 0.5 * branch]) / box + 0.5
+    return Packing(np.eye(3) * box, positions, np.array(radii), law)
+
+
+def cubic(cells: int = 4, overlap: float = 1e-3, law: LinearContact = FRICTIONLESS) -> Packing:
+    """Equal spheres on a simple cubic lattice; contacts overlap by that share of a diameter."""
+    spacing = 2 * RADIUS * (1 - overlap)
+    positions = np.array(list(np.ndindex(cells, cells, cells))) / cells
+    return Packing(np.eye(3) * cells * spacing, positions, np.full(cells**3, RADIUS), law)
+
+
+def loose_spheres(
+    grains: int, seed: int, box: np.ndarray, law: LinearContact = FRICTIONLESS
+) -> Packing:
+    """Spheres of 3-7 mm anywhere in the box and in its images; they may overlap a lot."""
+    rng = np.random.default_rng(seed)
+    positions = rng.uniform(-1, 2, (grains, 3))
+    return Packing(box, positions, rng.uniform(3e-3, 7e-3, grains), law)
+
+
+def turn(axis, angle: float) -> np.ndarray:
+    """Rotation (3, 3) about an axis (rad)."""
+    x, y, z = np.array(axis) / np.linalg.norm(axis)
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
