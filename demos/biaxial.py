@@ -56,10 +56,10 @@ def arguments() -> argparse.ArgumentParser:
     specimen = parser.add_argument_group("specimen")
     specimen.add_argument("--width", type=float, default=0.05, help="m")
     specimen.add_argument("--height", type=float, default=0.1, help="m")
-    shared.add_discretisation(specimen, 2, (8, 16), "Q4", first_gradient.FORMULATIONS)
+    shared.add_discretisation(specimen, 2, (6, 12), "Q4", first_gradient.FORMULATIONS)
     grains = shared.add_grains(parser, 400, "disks, or spheres")
     grains.add_argument("--dim", type=int, default=2, help="2: disks, 3: spheres, in plane strain")
-    shared.add_compression(parser, strain=0.035)
+    shared.add_compression(parser, strain=0.04)
     shared.add_solution(parser)
     shared.add_output(parser, "results/biaxial")
     return parser
