@@ -36,21 +36,18 @@ def main(comm: MPI.Comm) -> int:
     args = script.parse(parser, comm)
     strain = min(args.strain, 0.01) if args.quick else args.strain
     with tempfile.TemporaryDirectory() as folder:
-        scene = biaxial.arguments().parse_args(
-            [
-                *("--packing", str(REFERENCE / "packing.h5"), "--formulation", args.formulation),
-                *("--strain", str(strain), "--accuracy", args.accuracy),
-                *(
-                    "--operator",
-                    args.operator,
-                    "--element",
-                    "Q8",
-                    "--mesh",
-                    *map(str, args.elements),
-                ),
-                *("--output", comm.bcast(folder), "--quiet"),
-            ]
-        )
+        options = {
+            "--packing": REFERENCE / "packing.h5",
+            "--formulation": args.formulation,
+            "--strain": strain,
+            "--accuracy": args.accuracy,
+            "--operator": args.operator,
+            "--element": "Q8",
+            "--output": comm.bcast(folder),
+        }
+        words = [str(word) for option in options.items() for word in option]
+        mesh = ["--mesh", *map(str, args.elements)]
+        scene = biaxial.arguments().parse_args([*words, *mesh, "--quiet"])
         specimen = biaxial.specimen_for(scene, packing_for(scene, comm, scene.dim), comm)
         specimen.law.evaluate(np.tile(np.eye(2), (specimen.points.size, 1, 1)))  # compiles
         specimen.law.tangent()

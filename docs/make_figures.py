@@ -27,7 +27,8 @@ from femxdem_fenicsx.dem.accuracy import PRESETS  # noqa: E402
 from femxdem_fenicsx.dem.files import load_packing  # noqa: E402
 
 OURS, THEIRS, THIRD = plotting.COLOURS[:3]
-SEED = "14"  # of the packing in the demo's pictures
+#: The packing of the demo in the pictures.
+PACKING = str(accuracy.YADE / "packing.h5")
 
 
 def python(script: str, *arguments: str) -> str:
@@ -52,12 +53,12 @@ def keep(name: str, columns: str, rows: np.ndarray) -> None:
     )
 
 
-# The demo, as `make biaxial` runs it but with a packing that localises early
+# The demo, as `make biaxial` runs it but with YADE's packing
 
 
 def run_biaxial() -> None:
     with tempfile.TemporaryDirectory() as folder:
-        summary = python("demos/biaxial.py", "--seed", SEED, "--output", folder)
+        summary = python("demos/biaxial.py", "--packing", PACKING, "--output", folder)
         for name in ("fields", "history", "force_chains"):
             with Image.open(Path(folder) / f"{name}.png") as picture:  # 256 colours: smaller files
                 picture.convert("RGB").quantize(256).save(FIGURES / f"biaxial_{name}.png")

@@ -14,9 +14,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from .dem.preparation import NotReached
 from .fem.options import petsc_options
 
-USER_ERRORS = (ValueError, OSError)
+USER_ERRORS = (ValueError, OSError, NotReached)
 USER_ERROR, LOST_CONTROLLABILITY = 2, 3
 
 

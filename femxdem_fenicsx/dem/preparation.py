@@ -24,6 +24,10 @@ SOFTER = 1.05
 MOST_BLOCKS = 40000
 
 
+class NotReached(RuntimeError):
+    """A pressure or a void ratio that the grains did not come to; the message says how far."""
+
+
 def random_packing(
     grains: int = 400,
     radii: tuple[float, float] = (3e-3, 7e-3),
@@ -55,7 +59,7 @@ def random_packing(
 
     Raises:
         ValueError: for values that make no packing.
-        RuntimeError: if the target is not reached.
+        NotReached: if the target is not reached.
     """
     law = law or LinearContact(modulus=6e8, stiffness_ratio=0.8, friction=float(np.tan(0.5)))
     if grains < 1:
@@ -86,7 +90,7 @@ def packing_of_void_ratio(
             that not every value is met by every seed.
         preparation: what `random_packing` takes, but no compaction_friction.
 
-    Raises RuntimeError, with the void ratios reached, where none is close enough.
+    Raises NotReached, with the void ratios reached, where none is close enough.
     """
     low, high = 0.0, 1.0
     tried: dict[float, Packing] = {}
@@ -107,7 +111,7 @@ def packing_of_void_ratio(
     best = min(tried.values(), key=lambda packing: abs(packing.void_ratio - void_ratio))
     if abs(best.void_ratio - void_ratio) > tolerance:
         reached = sorted(packing.void_ratio for packing in tried.values())
-        raise RuntimeError(
+        raise NotReached(
             f"void ratio {void_ratio} was not reached: compaction friction from 0 to 1 gives"
             f" {reached[0]:.4f} to {reached[-1]:.4f}, {best.void_ratio:.4f} at best; take another"
             " seed or more grains"
@@ -145,7 +149,7 @@ def compress(
     where it overshoots.
     With `rng`, the grains start with random velocities, which mix a dilute packing.
 
-    Raises ValueError for a pressure that is not positive, and RuntimeError where it is not reached.
+    Raises ValueError for a pressure that is not positive, and NotReached where it is not reached.
     """
     if np.size(pressure) not in (1, packing.dim) or not (
         np.isfinite(pressure).all() and np.min(pressure) > 0
@@ -184,7 +188,7 @@ def compress(
         rate *= min(1.0, fastest / np.abs(rate).max())
         if progress is not None and block % 20 == 0:
             progress(float(pressure_of(stress)) / pressure)
-    raise RuntimeError(
+    raise NotReached(
         f"preparation: reached {pressure_of(stress):.4g} Pa of {pressure:.4g} Pa, unbalance"
         f" {net / max(force, 1e-300):.2g}, after {MOST_BLOCKS * BLOCK} steps"
     )
