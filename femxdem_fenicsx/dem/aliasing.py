@@ -4,7 +4,9 @@ Numba never says so by itself, and LLVM then reads every operand again after eve
 contact loop of `dynamics` the promise halves the time of a step (docs/performance.md).
 """
 
+import ast
 from collections.abc import Callable
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
@@ -21,26 +23,51 @@ _compile = njit(
 )
 
 
-def _fingerprint() -> str:
-    """Of all sources of the kernels."""
+@cache
+def fingerprint(path: Path) -> str:
+    """Of a source file and of all files of this package that it imports, directly or not."""
     digest = sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.read_bytes())
+    for file in sorted(_with_imports(path)):
+        digest.update(file.read_bytes())
     return digest.hexdigest()
 
 
-FINGERPRINT = _fingerprint()
+@cache
+def _with_imports(path: Path) -> frozenset[Path]:
+    files, pending = set(), [path]
+    while pending:
+        file = pending.pop()
+        files.add(file)
+        pending.extend(_imports(file) - files)
+    return frozenset(files)
+
+
+@cache
+def _imports(path: Path) -> frozenset[Path]:
+    """Files of this package that a source file imports by relative imports."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            package = path.parents[node.level - 1]
+            folder = package.joinpath(*node.module.split(".")) if node.module else package
+            modules = [folder / name.name for name in node.names]
+            if node.module:
+                modules.append(folder)
+            found.update(module.with_suffix(".py") for module in modules)
+            found.update(module / "__init__.py" for module in modules)
+    return frozenset(file for file in found if file.is_file())
 
 
 def kernel(function: Callable):
     """Compile a kernel: no GIL, cached on disk, sums may be reordered, NaN stays NaN.
 
     A cached kernel holds copies of those that it calls, in other files. Numba would use it until
-    its own file changes; here any change of `dem` makes all of them be compiled anew.
+    its own file changes; here a change of any file that it depends on makes it be compiled anew.
     """
     compiled = _compile(function)
     try:
-        compiled._cache._cache_file._source_stamp = FINGERPRINT
+        file = Path(function.__code__.co_filename)
+        compiled._cache._cache_file._source_stamp = fingerprint(file)
     except AttributeError:  # a Numba that keeps its cache otherwise looks at the function's file
         pass
     return compiled
