@@ -8,9 +8,9 @@ from concurrent.futures import ThreadPoolExecutor, wait
 import numpy as np
 
 from .accuracy import Accuracy
-from .dynamics import OK, Workspace, workspace
+from .dynamics import OK, Material, Workspace, workspace
 from .homogenisation import Contacts, fabric, stress, touching
-from .loading import Outcome, deform, logarithm, pressure_of, settings, shear_of
+from .loading import Loading, Outcome, deform, logarithm, pressure_of, settings, shear_of
 from .packing import PAIRS_PER_GRAIN, Packing, PackingBatch
 
 #: A packing with more pairs than that per grain has collapsed.
@@ -47,7 +47,7 @@ class Response:
     Attributes:
         committed, trial: the two states. latest: the one of the two that was computed last.
         outcome: what was measured at `latest`. committed_outcome: the same at `committed`.
-        pressure: (B,) Pa, of the committed state.
+        pressure: (B,) Pa, of the committed state. commits: how often a trial became the state.
     """
 
     def __init__(self, packing: Packing, size: int, accuracy: Accuracy, threads: int = 1):
@@ -76,6 +76,7 @@ class Response:
         self.committed_outcome.contacts[:] = len(contacts.pairs)
         self.committed_outcome.at_rest[:] = True
         self._cost = np.zeros(size)
+        self.commits = 0
         self.discard()
 
     @property
@@ -95,9 +96,19 @@ class Response:
         self._cost = self.outcome.loading_steps + self.outcome.hold_steps
         return self.outcome
 
-    def probe(self, F: np.ndarray, packings: np.ndarray) -> Outcome:
-        """What packings (n,) would answer to F (n, d, d); the trial state stays as it is."""
-        return self._run(F, packings, None)
+    def probe(
+        self,
+        F: np.ndarray,
+        packings: np.ndarray,
+        start: PackingBatch | None = None,
+        material: Material | None = None,
+        loading: Loading | None = None,
+    ) -> Outcome:
+        """What packings (n,) would answer to F (n, d, d); the trial state stays as it is.
+
+        From the committed state and as `deform` would, unless told otherwise.
+        """
+        return self._run(F, packings, None, start, material, loading)
 
     def commit(self) -> None:
         """The trial state becomes the state; without a trial nothing changes."""
@@ -105,6 +116,7 @@ class Response:
             self.committed, self.trial = self.trial, self.committed
             self.committed.reduce_boxes()
             self.committed_outcome = self.outcome
+            self.commits += 1
         self.discard()
 
     def discard(self) -> None:
@@ -112,13 +124,15 @@ class Response:
         self.latest, self.outcome = self.committed, self.committed_outcome
         self.pressure = pressure_of(self.outcome.stress)
 
-    def _run(self, F, packings, new) -> Outcome:
+    def _run(self, F, packings, new, start=None, material=None, loading=None) -> Outcome:
+        start = start or self.committed
+        material, loading = material or self.material, loading or self.loading
         F = np.ascontiguousarray(F, dtype=np.float64)
         log_F = logarithm(F)
-        self._check_room(F @ self.committed.box[packings], packings)
+        self._check_room(F @ start.box[packings], packings)
         shear = shear_of(log_F)
         outcome = Outcome.of(len(packings), self.committed.template.dim)
-        state = self.committed.state
+        state = start.state
 
         def one(row: int) -> None:
             b = packings[row]
@@ -126,8 +140,8 @@ class Response:
             target, place = (scratch, 0) if new is None else (new, b)
             self.with_workspace(
                 lambda work: deform(
-                    b, F[row], log_F[row], shear[row], self.pressure[b], self.material,
-                    self.loading, state, target, place, outcome, row, work,
+                    b, F[row], log_F[row], shear[row], self.pressure[b], material,
+                    loading, state, target, place, outcome, row, work,
                 ),
                 f"packing {b}",
             )  # fmt: skip

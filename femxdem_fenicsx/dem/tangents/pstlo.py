@@ -1,0 +1,232 @@
+"""PSTLO, the prestressed truss-like operator (Argilaga section 5.2 and appendix B).
+
+The grains are the nodes of a lattice, with rotations; contacts persist and are elastic. Of a contact,
+with n from i to j, l = |b|, lever = l / (R_i + R_j) and the sum s = w_i + w_j of the rim velocities
+R theta, a small motion changes the force F on j and the moment M / R that slows both grains by
+
+    dF = -k_n n (n.db) + f_n dn - (T.dn) n + dT,       dn = (I - n n) db / l,
+    dT = -k_t ((I - n n) db - lever s x n) + twist n x T,
+    dM = d(lever n x T)
+
+(eq. B.4-B.11, where the contact divides the branch in the ratio of the radii). The twist, in 3D, is
+the mean rotation of both grains about n (Desrues eq. 24).
+"""
+
+import numpy as np
+
+from ..aliasing import kernel
+from ..response import Response
+from . import block_ldl
+from .network import Network, network, objective, strains
+
+#: Stiffness to the ground that every grain gets, over the mean k_n. It holds what nothing else does
+#: (the packing as a whole, grains without contacts) and is far below all else.
+GROUND = 1e-8
+#: Least contacts of a grain that can be held by them: with friction in 2D and 3D, without.
+HELD_BY = {(2, True): 2, (3, True): 3, (2, False): 3, (3, False): 4}
+#: On the residual of the linear equations, over the right-hand side.
+TOLERANCE = 1e-6
+MOST_REFINEMENTS = 50
+
+
+def prestressed_truss(response: Response, F: np.ndarray) -> np.ndarray:
+    """PSTLO: the exact derivative of a packing in which nothing slides, opens or closes (eq. 23).
+
+    Grains with too few contacts to be held by them move along and bear nothing. Strains alone are
+    solved for: a rotation turns the stress.
+
+    Raises FloatingPointError for a packing whose equations cannot be solved.
+    """
+    B, dim = response.size, F.shape[-1]
+    basis = strains(dim)
+    columns = np.zeros((B, len(basis), dim, dim))
+    stress = np.zeros((B, dim, dim))
+    radius = response.material.radius
+    turning = response.material.friction is not None
+    least = HELD_BY[dim, turning]
+    unit = (0,) * (dim if not turning else 3 * dim - 3)
+
+    def one(b: int) -> None:
+        contacts = network(response, b)
+        stress[b] = contacts.stress
+        left = _solve(unit, least, radius, basis, *contacts[:-1], contacts.volume, columns[b])
+        if not left < TOLERANCE:
+            raise FloatingPointError(
+                f"packing {b}: the equations of PSTLO have no solution to {TOLERANCE:.0e}"
+                f" (residual {left:.1e}); take another operator"
+            )
+
+    response.for_each(one, np.arange(B))
+    dilation = np.einsum("sii->s", basis)
+    return objective(columns - dilation[:, None, None] * stress[:, None], stress)
+
+
+@kernel
+def _solve(
+    unit, least, radius, basis, i, j, branch, reach, k_n, k_t, f_n, tangential, volume, columns
+):
+    """Change of the stress per unit of each strain of `basis` into `columns`; the residual left."""
+    dim, size, m = branch.shape[1], len(radius), len(unit)
+    held = _held(least, size, i, j)
+    S, twist = np.zeros((len(i), m, m)), np.zeros((len(i), m))
+    ground = GROUND * k_n.mean() if len(i) else 1.0
+    for c in range(len(i)):
+        if held[i[c]] and held[j[c]]:
+            _stiffness(branch[c], reach[c], k_n[c], k_t[c], f_n[c], tangential[c], S[c], twist[c])
+    place, first, row = block_ldl.eliminate(size, i, j)
+    diagonal = np.zeros((size, m, m))
+    value = np.empty((len(i), m, m))
+    column = np.empty((len(i), 2), np.int64)
+    following = np.full(size + len(i), -1)
+    for k in range(size):
+        for p in range(m):
+            diagonal[k, p, p] = ground
+    for c in range(len(i)):
+        pi, pj = place[i[c]], place[j[c]]
+        column[c, 0], column[c, 1] = min(pi, pj), max(pi, pj)
+        following[size + c] = following[column[c, 0]]
+        following[column[c, 0]] = c
+        for p in range(m):
+            for q in range(m):
+                symmetric = 0.5 * (S[c, p, q] + S[c, q, p])
+                flip_p, flip_q = 1.0 if p >= dim else -1.0, 1.0 if q >= dim else -1.0
+                diagonal[pi, p, q] += flip_p * flip_q * symmetric
+                diagonal[pj, p, q] += symmetric
+                value[c, p, q] = symmetric * (flip_q if pj > pi else flip_p)
+    below, pivot = np.empty((len(row), m, m)), np.empty((size, m, m))
+    block_ldl.factorise(diagonal, column, value, following, first, row, unit, below, pivot)
+
+    s = len(basis)
+    motion, target = np.zeros((size, m, s)), np.zeros((size, m, s))
+    residual, ordered = np.zeros((size, m, s)), np.zeros((size, m, s))
+    forces, moved = np.empty((m, s)), np.empty((m, s))
+    for round in range(MOST_REFINEMENTS):
+        residual[:] = -ground * motion
+        columns[:] = 0.0
+        for c in range(len(i)):
+            a, b = i[c], j[c]
+            if not (held[a] and held[b]):
+                continue
+            _moved(a, b, branch[c], basis, motion, unit, moved)
+            for p in range(m):
+                for v in range(s):
+                    total = 0.0
+                    for q in range(m):
+                        total += S[c, p, q] * moved[q, v]
+                    forces[p, v] = total
+            if m > dim and dim == 3:
+                _add_twist(a, b, branch[c], radius, twist[c], motion, forces)
+            for p in range(m):
+                for v in range(s):
+                    flip = 1.0 if p >= dim else -1.0
+                    residual[a, p, v] -= flip * forces[p, v]
+                    residual[b, p, v] -= forces[p, v]
+            _add_stress(branch[c], f_n[c], tangential[c], forces, moved, columns)
+        if round == 0:
+            target[:] = residual
+        left = np.sqrt((residual**2).sum() / max((target**2).sum(), 1e-300))
+        if left < TOLERANCE or not np.isfinite(left):
+            break
+        for g in range(size):
+            ordered[place[g]] = residual[g]
+        block_ldl.solve(first, row, below, pivot, unit, ordered)
+        for g in range(size):
+            motion[g] += ordered[place[g]]
+    columns /= volume
+    return left
+
+
+@kernel
+def _held(least, size, i, j):
+    """Grains that have enough contacts with others of their kind, (N,) bool."""
+    held = np.ones(size, np.bool_)
+    changed = True
+    while changed:
+        contacts = np.zeros(size, np.int64)
+        for c in range(len(i)):
+            if held[i[c]] and held[j[c]]:
+                contacts[i[c]] += 1
+                contacts[j[c]] += 1
+        changed = False
+        for g in range(size):
+            if held[g] and contacts[g] < least:
+                held[g] = False
+                changed = True
+    return held
+
+
+@kernel
+def _stiffness(branch, reach, k_n, k_t, f_n, T, S, twist):
+    """(-dF, dM) = S (db, s) + twist (mean rotation about n), m x m and (m,)."""
+    dim, m = len(branch), len(S)
+    length = np.sqrt((branch * branch).sum())
+    n, n_cross, t = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
+    n[:dim] = branch / length
+    t[:dim] = T
+    lever = length / reach
+    n_cross[0, 1], n_cross[0, 2], n_cross[1, 2] = -n[2], n[1], -n[0]
+    n_cross[1, 0], n_cross[2, 0], n_cross[2, 1] = n[2], -n[1], n[0]
+    moment = np.zeros(3)  # n x T
+    for p in range(3):
+        for q in range(3):
+            moment[p] += n_cross[p, q] * t[q]
+    for p in range(dim):
+        for q in range(dim):
+            across = (1.0 if p == q else 0.0) - n[p] * n[q]
+            S[p, q] = k_n * n[p] * n[q] + (k_t - f_n / length) * across + n[p] * t[q] / length
+    if m == dim:
+        return
+    from_axis = 2 if dim == 2 else 0  # a disk spins about z alone
+    for p in range(m - dim):
+        a = p + from_axis
+        for q in range(dim):
+            S[q, dim + p] = k_t * lever * n_cross[q, a]
+            # of (I - n n) db x T, which is along n in 3D and nothing in 2D
+            turned = n[a] * -moment[q] if dim == 3 else 0.0
+            S[dim + p, q] = n[q] * moment[a] / reach + turned / reach - k_t * lever * n_cross[a, q]
+        for q in range(m - dim):
+            across = (1.0 if p == q else 0.0) - n[a] * n[q + from_axis]
+            S[dim + p, dim + q] = k_t * lever**2 * across
+        twist[dim + p] = -lever * t[a]
+    for p in range(dim):
+        twist[p] = -moment[p]
+
+
+@kernel
+def _moved(i, j, branch, basis, motion, unit, moved):
+    """(db, s) of a contact for every strain, (m, s)."""
+    dim = len(branch)
+    for v in range(len(basis)):
+        for p in range(len(unit)):
+            if p < dim:
+                moved[p, v] = motion[j, p, v] - motion[i, p, v]
+                for q in range(dim):
+                    moved[p, v] += basis[v, p, q] * branch[q]
+            else:
+                moved[p, v] = motion[i, p, v] + motion[j, p, v]
+
+
+@kernel
+def _add_twist(i, j, branch, radius, twist, motion, forces):
+    """Of spheres: the tangential force turns with the mean rotation about the normal."""
+    length = np.sqrt((branch * branch).sum())
+    for v in range(forces.shape[1]):
+        mean = 0.0
+        for p in range(3):
+            mean += 0.5 * branch[p] / length * (
+                motion[i, 3 + p, v] / radius[i] + motion[j, 3 + p, v] / radius[j]
+            )
+        for p in range(6):
+            forces[p, v] += twist[p] * mean
+
+
+@kernel
+def _add_stress(branch, f_n, T, forces, moved, columns):
+    """Volume times the change of the stress, -F b / V, without that of V (s, d, d)."""
+    dim = len(branch)
+    length = np.sqrt((branch * branch).sum())
+    for v in range(len(columns)):
+        for p in range(dim):
+            force = f_n * branch[p] / length + T[p]
+            for q in range(dim):
+                columns[v, p, q] += forces[p, v] * branch[q] - force * moved[q, v]
