@@ -17,6 +17,8 @@ from .stability import stable_time_step
 
 #: Steps of a hold between two looks at its criterion.
 HOLD_BLOCK = 25
+#: From this many times the tolerance on, what a hold shows counts for the stress.
+NEARLY_AT_REST = 4.0
 #: Fewest loading steps of an increment that is not zero.
 FEWEST_STEPS = 4
 
@@ -193,6 +195,8 @@ def deform(
         weakest *= loading.mean_diameter
     still = np.zeros_like(F)
     held, ratio, at_rest = 0, 0.0, False
+    measured, left = np.zeros_like(F), 1.0
+    outcome.stress[row] = 0.0
     while not at_rest and held < loading.hold_limit:
         if (
             dynamics.advance(
@@ -205,6 +209,15 @@ def deform(
         net, contact = dynamics.unbalance(work)
         ratio = net / max(contact, 1e-3 * weakest)
         at_rest = ratio < loading.tolerance
+        outcome.contacts[row], outcome.overlap[row] = measure(
+            motion, work.pairs, material.cohesion, loading.thickness, measured, outcome.fabric[row]
+        )
+        share = 1.0 - math.log(max(ratio / loading.tolerance, 1.0)) / math.log(NEARLY_AT_REST)
+        if held >= loading.hold_limit:
+            share = 1.0
+        share = left * max(share, 0.0)
+        outcome.stress[row] += share * measured
+        left -= share
 
     remember(work.pairs, history)
     count = history.first[-1]
@@ -215,10 +228,6 @@ def deform(
     new[5][place] = history.first
     new[6][place, :count] = history.j[:count]
     new[7][place, :, :count] = history.tangential[:, :count]
-    outcome.contacts[row], outcome.overlap[row] = measure(
-        motion, work.pairs, material.cohesion, loading.thickness, outcome.stress[row],
-        outcome.fabric[row],
-    )  # fmt: skip
     outcome.loading_steps[row], outcome.hold_steps[row] = steps, held
     outcome.unbalance[row], outcome.at_rest[row] = ratio, at_rest
     return OK

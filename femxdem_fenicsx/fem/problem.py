@@ -144,6 +144,7 @@ class Problem:
         self._failure: Exception | None = None
         self._last_step: tuple[float, np.ndarray] | None = None
         self._size = self._x.local_size
+        self.predictor, self.carry = "increment", 0.0
         self.snes = self._create_snes(prefix)
 
     def _create_snes(self, prefix: str) -> PETSc.SNES:
@@ -210,6 +211,7 @@ class Problem:
         together(self._comm, self.operator.law.commit)
         self.motion.move()
         self._last_step = (step, self.u.x.array[: self._size].copy())
+        self._last_forces = self._forces.copy()
         self.u.x.array[:] = 0.0
         self._now = None
 
@@ -231,18 +233,24 @@ class Problem:
     # ---- first guess ----------------------------------------------------------------------------
 
     def _first_guess(self, step: float) -> np.ndarray:
-        if self._last_step is None:
+        if self._last_step is None or self.predictor == "tangent":
             guess = self._linear_response()
         else:
             last, increment = self._last_step
             guess = step / last * increment
+            if self.carry and self.snes.getKSP().getPC().getOperators()[0].handle:
+                r, d = self._last_forces.copy(), self._x.duplicate()
+                r.array[self._constrained] = 0.0
+                self.snes.getKSP().solve(r, d)
+                guess -= self.carry * d.array_r
         guess[self._constrained] = self._values
         return guess
 
     def _linear_response(self) -> np.ndarray:
         """One linear solve from u = 0, with the tangent there."""
         self._set_u(np.zeros(self._size))
-        self._evaluate_at_u()
+        if self._last_step is None:
+            self._evaluate_at_u()
         self._assemble_jacobian(self.snes, self._x, self._matrix, self._matrix)
         right = self._work
         self._forces.copy(right)
