@@ -14,6 +14,7 @@ from petsc4py import PETSc
 
 from ..law import InadmissibleDeformation
 from . import _dolfinx
+from .anderson import Anderson
 from .collective import together
 from .external_operator import ExternalOperator
 from .mesh_motion import MeshMotion
@@ -24,6 +25,10 @@ REASONS = {
     for name, value in vars(PETSc.SNES.ConvergedReason).items()
     if isinstance(value, int) and not name.startswith("_")
 }
+
+
+#: What the iteration of a step can start from, see `Problem`.
+FIRST_GUESSES = ("increment", "tangent")
 
 
 @dataclass(frozen=True)
@@ -114,6 +119,11 @@ class Problem:
             steps in place (through a Constant or a Function).
         convergence: criteria.
         prefix: of the PETSc options.
+        first_guess: "increment", the last increment scaled, corrected by what the last step left
+            out of balance; or "tangent", the linear response to the prescribed values.
+
+    Raises:
+        ValueError: an unknown first guess.
     """
 
     def __init__(
@@ -125,7 +135,12 @@ class Problem:
         bcs: Sequence,
         convergence: Convergence | None = None,
         prefix: str = PREFIX,
+        first_guess: str = "increment",
     ):
+        if first_guess not in FIRST_GUESSES:
+            raise ValueError(
+                f"unknown first guess '{first_guess}'; choose from {', '.join(FIRST_GUESSES)}"
+            )
         self.u, self.operator, self.bcs = u, operator, list(bcs)
         self.convergence = convergence or Convergence()
         element = operator.points.element
@@ -144,7 +159,8 @@ class Problem:
         self._failure: Exception | None = None
         self._last_step: tuple[float, np.ndarray] | None = None
         self._size = self._x.local_size
-        self.predictor, self.carry = "increment", 0.0
+        self.first_guess = first_guess
+        self._assembled = False
         self.snes = self._create_snes(prefix)
 
     def _create_snes(self, prefix: str) -> PETSc.SNES:
@@ -161,8 +177,9 @@ class Problem:
     def solve(self, step: float = 1.0) -> Solution:
         """Solve for u under the present values of the boundary conditions and loads.
 
-        The first guess is the last increment scaled by the ratio of the steps; without a last
-        increment, the linear response to the prescribed values.
+        The first guess is the last increment scaled by the ratio of the steps, less what the last
+        step left out of balance over the last Jacobian, which costs no evaluation. Without a last
+        increment it is the linear response to the prescribed values.
 
         Args:
             step: size of this step on the load path; it scales the first guess, nothing else.
@@ -221,6 +238,16 @@ class Problem:
         self.u.x.array[:] = 0.0
         self._now = None
 
+    def forget(self) -> None:
+        """Forget what the solver has learnt, but not the last increment: Jacobian, differences.
+
+        Where a run is to go on from a checkpoint to the same bits, it must forget at it too.
+        """
+        self._assembled = False
+        context = self.snes.getPythonContext() if self.snes.getType() == "python" else None
+        if isinstance(context, Anderson):
+            context.forget()
+
     def reaction(self, dofs: np.ndarray) -> float:
         """Sum of the reactions (internal minus external nodal forces) at `dofs`, N per m.
 
@@ -233,32 +260,42 @@ class Problem:
     # ---- first guess ----------------------------------------------------------------------------
 
     def _first_guess(self, step: float) -> np.ndarray:
-        if self._last_step is None or self.predictor == "tangent":
+        if self._last_step is None or self.first_guess == "tangent":
             guess = self._linear_response()
         else:
             last, increment = self._last_step
-            guess = step / last * increment
-            if self.carry and self.snes.getKSP().getPC().getOperators()[0].handle:
-                r, d = self._last_forces.copy(), self._x.duplicate()
-                r.array[self._constrained] = 0.0
-                self.snes.getKSP().solve(r, d)
-                guess -= self.carry * d.array_r
+            guess = step / last * increment - self._left_over()
         guess[self._constrained] = self._values
         return guess
 
+    def _left_over(self) -> np.ndarray:
+        """What the last step left out of balance, as a displacement, by the last Jacobian."""
+        if not self._assembled:
+            return np.zeros(self._size)
+        right = self._last_forces.copy()
+        right.array[self._constrained] = 0.0
+        return self._linear_solution(right)
+
     def _linear_response(self) -> np.ndarray:
-        """One linear solve from u = 0, with the tangent there."""
+        """One linear solve from u = 0, with the tangent there and what is out of balance there.
+
+        That is known from the end of the last step; before the first one, the law is evaluated.
+        """
         self._set_u(np.zeros(self._size))
         if self._last_step is None:
             self._evaluate_at_u()
+            self._last_forces = self._forces.copy()
         self._assemble_jacobian(self.snes, self._x, self._matrix, self._matrix)
         right = self._work
-        self._forces.copy(right)
+        self._last_forces.copy(right)
         right.scale(-1.0)
         _dolfinx.lift(right, self._jacobian, self.bcs)
         right.array[self._constrained] = self._values
-        solution = self._x.duplicate()
-        ksp = self.snes.getKSP()
+        return self._linear_solution(right)
+
+    def _linear_solution(self, right: PETSc.Vec) -> np.ndarray:
+        """Of the last Jacobian; zero where there is none."""
+        solution, ksp = self._x.duplicate(), self.snes.getKSP()
         ksp.setOperators(self._matrix)
         ksp.solve(right, solution)
         if ksp.getConvergedReason() < 0:
@@ -290,6 +327,7 @@ class Problem:
             self._failure = error
             raise
         _dolfinx.assemble_matrix(preconditioner, self._jacobian, self.bcs)
+        self._assembled = True
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         reason = PETSc.SNES.ConvergedReason

@@ -72,7 +72,7 @@ def _solve(
     ground = GROUND * k_n.mean() if len(i) else 1.0
     for c in range(len(i)):
         if held[i[c]] and held[j[c]]:
-            _stiffness(branch[c], reach[c], k_n[c], k_t[c], f_n[c], tangential[c], S[c], twist[c])
+            _stiffness(c, branch, reach, k_n, k_t, f_n, tangential, unit, S, twist)
     place, first, row = block_ldl.eliminate(size, i, j)
     diagonal = np.zeros((size, m, m))
     value = np.empty((len(i), m, m))
@@ -107,7 +107,7 @@ def _solve(
             a, b = i[c], j[c]
             if not (held[a] and held[b]):
                 continue
-            _moved(a, b, branch[c], basis, motion, unit, moved)
+            _moved(a, b, c, branch, basis, motion, unit, moved)
             for p in range(m):
                 for v in range(s):
                     total = 0.0
@@ -115,13 +115,13 @@ def _solve(
                         total += S[c, p, q] * moved[q, v]
                     forces[p, v] = total
             if m > dim and dim == 3:
-                _add_twist(a, b, branch[c], radius, twist[c], motion, forces)
+                _add_twist(a, b, c, branch, radius, twist, motion, forces)
             for p in range(m):
                 for v in range(s):
                     flip = 1.0 if p >= dim else -1.0
                     residual[a, p, v] -= flip * forces[p, v]
                     residual[b, p, v] -= forces[p, v]
-            _add_stress(branch[c], f_n[c], tangential[c], forces, moved, columns)
+            _add_stress(c, branch, f_n, tangential, forces, moved, columns)
         if round == 0:
             target[:] = residual
         left = np.sqrt((residual**2).sum() / max((target**2).sum(), 1e-300))
@@ -156,77 +156,78 @@ def _held(least, size, i, j):
 
 
 @kernel
-def _stiffness(branch, reach, k_n, k_t, f_n, T, S, twist):
-    """(-dF, dM) = S (db, s) + twist (mean rotation about n), m x m and (m,)."""
-    dim, m = len(branch), len(S)
-    length = np.sqrt((branch * branch).sum())
-    n, n_cross, t = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
-    n[:dim] = branch / length
-    t[:dim] = T
-    lever = length / reach
-    n_cross[0, 1], n_cross[0, 2], n_cross[1, 2] = -n[2], n[1], -n[0]
-    n_cross[1, 0], n_cross[2, 0], n_cross[2, 1] = n[2], -n[1], n[0]
-    moment = np.zeros(3)  # n x T
-    for p in range(3):
-        for q in range(3):
-            moment[p] += n_cross[p, q] * t[q]
+def _stiffness(c, branch, reach, k_n, k_t, f_n, tangential, unit, S, twist):
+    """(-dF, dM) = S (db, s) + twist (mean rotation about n) of contact c, m x m and (m,)."""
+    dim, m = branch.shape[1], len(unit)
+    nx, ny = branch[c, 0], branch[c, 1]
+    nz = branch[c, 2] if dim == 3 else 0.0
+    tx, ty = tangential[c, 0], tangential[c, 1]
+    tz = tangential[c, 2] if dim == 3 else 0.0
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    nx, ny, nz = nx / length, ny / length, nz / length
+    n, T = (nx, ny, nz), (tx, ty, tz)
+    moment = (ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx)  # n x T
+    n_cross = ((0.0, -nz, ny), (nz, 0.0, -nx), (-ny, nx, 0.0))
+    lever = length / reach[c]
     for p in range(dim):
+        twist[c, p] = -moment[p]
         for q in range(dim):
-            across = (1.0 if p == q else 0.0) - n[p] * n[q]
-            S[p, q] = k_n * n[p] * n[q] + (k_t - f_n / length) * across + n[p] * t[q] / length
-    if m == dim:
-        return
-    from_axis = 2 if dim == 2 else 0  # a disk spins about z alone
+            along = n[p] * n[q]
+            across = (1.0 if p == q else 0.0) - along
+            S[c, p, q] = k_n[c] * along + (k_t[c] - f_n[c] / length) * across
+            S[c, p, q] += n[p] * T[q] / length
+    axis = 2 if dim == 2 else 0  # a disk spins about z alone
     for p in range(m - dim):
-        a = p + from_axis
+        a = p + axis
+        twist[c, dim + p] = -lever * T[a]
         for q in range(dim):
-            S[q, dim + p] = k_t * lever * n_cross[q, a]
+            S[c, q, dim + p] = k_t[c] * lever * n_cross[q][a]
             # of (I - n n) db x T, which is along n in 3D and nothing in 2D
-            turned = n[a] * -moment[q] if dim == 3 else 0.0
-            S[dim + p, q] = n[q] * moment[a] / reach + turned / reach - k_t * lever * n_cross[a, q]
+            turned = n[a] * moment[q] if dim == 3 else 0.0
+            S[c, dim + p, q] = (n[q] * moment[a] - turned) / reach[c]
+            S[c, dim + p, q] -= k_t[c] * lever * n_cross[a][q]
         for q in range(m - dim):
-            across = (1.0 if p == q else 0.0) - n[a] * n[q + from_axis]
-            S[dim + p, dim + q] = k_t * lever**2 * across
-        twist[dim + p] = -lever * t[a]
-    for p in range(dim):
-        twist[p] = -moment[p]
+            across = (1.0 if p == q else 0.0) - n[a] * n[q + axis]
+            S[c, dim + p, dim + q] = k_t[c] * lever**2 * across
 
 
 @kernel
-def _moved(i, j, branch, basis, motion, unit, moved):
-    """(db, s) of a contact for every strain, (m, s)."""
-    dim = len(branch)
+def _moved(i, j, c, branch, basis, motion, unit, moved):
+    """(db, s) of contact c for every strain, (m, s)."""
+    dim = branch.shape[1]
     for v in range(len(basis)):
         for p in range(len(unit)):
             if p < dim:
                 moved[p, v] = motion[j, p, v] - motion[i, p, v]
                 for q in range(dim):
-                    moved[p, v] += basis[v, p, q] * branch[q]
+                    moved[p, v] += basis[v, p, q] * branch[c, q]
             else:
                 moved[p, v] = motion[i, p, v] + motion[j, p, v]
 
 
 @kernel
-def _add_twist(i, j, branch, radius, twist, motion, forces):
+def _add_twist(i, j, c, branch, radius, twist, motion, forces):
     """Of spheres: the tangential force turns with the mean rotation about the normal."""
-    length = np.sqrt((branch * branch).sum())
+    length = np.sqrt(branch[c, 0] ** 2 + branch[c, 1] ** 2 + branch[c, 2] ** 2)
     for v in range(forces.shape[1]):
         mean = 0.0
         for p in range(3):
-            mean += 0.5 * branch[p] / length * (
+            mean += 0.5 * branch[c, p] / length * (
                 motion[i, 3 + p, v] / radius[i] + motion[j, 3 + p, v] / radius[j]
             )
         for p in range(6):
-            forces[p, v] += twist[p] * mean
+            forces[p, v] += twist[c, p] * mean
 
 
 @kernel
-def _add_stress(branch, f_n, T, forces, moved, columns):
+def _add_stress(c, branch, f_n, tangential, forces, moved, columns):
     """Volume times the change of the stress, -F b / V, without that of V (s, d, d)."""
-    dim = len(branch)
-    length = np.sqrt((branch * branch).sum())
-    for v in range(len(columns)):
-        for p in range(dim):
-            force = f_n * branch[p] / length + T[p]
-            for q in range(dim):
-                columns[v, p, q] += forces[p, v] * branch[q] - force * moved[q, v]
+    dim = branch.shape[1]
+    squared = 0.0
+    for p in range(dim):
+        squared += branch[c, p] ** 2
+    for p in range(dim):
+        force = f_n[c] * branch[c, p] / np.sqrt(squared) + tangential[c, p]
+        for q in range(dim):
+            for v in range(len(columns)):
+                columns[v, p, q] += forces[p, v] * branch[c, q] - force * moved[q, v]
