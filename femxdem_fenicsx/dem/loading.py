@@ -96,7 +96,10 @@ def logarithm(F: np.ndarray) -> np.ndarray:
     root, halvings = F.copy(), np.zeros((*F.shape[:-2], 1, 1))
     far = np.abs(root - identity).max((-2, -1)) > 0.1
     while far.any():  # the roots of one F must not depend on the others
-        root[far] = _square_root(root[far])
+        try:
+            root[far] = _square_root(root[far])
+        except np.linalg.LinAlgError:  # exactly 180 degrees
+            raise half_turn from None
         halvings[far] += 1
         if halvings.max() > 12 or not np.isfinite(root).all():
             raise half_turn
