@@ -47,7 +47,7 @@ def row(case: str, packing: Packing, repeats: int, steps: int) -> dict:
         fastest = min(fastest, process_time() - started)
     stress, fabric = np.zeros((2, packing.dim, packing.dim))
     contacts, _ = measure(
-        work.motion, work.pairs, packing.material.cohesion, packing.thickness, stress, fabric
+        work.motion, work.pairs, packing.material, packing.thickness, stress, fabric
     )
     return {
         "case": case,

@@ -9,7 +9,7 @@ import numpy as np
 
 from .accuracy import Accuracy
 from .dynamics import NO_ROOM, OK, Workspace, workspace
-from .homogenisation import Contacts, fabric, stress, touching
+from .homogenisation import fabric, largest_overlap, stress, touching
 from .loading import Outcome, deform_in_turn, logarithm, pressure_of, settings, shear_of
 from .packing import PAIRS_PER_GRAIN, Packing, PackingBatch
 
@@ -19,13 +19,11 @@ MOST_PAIRS_PER_GRAIN = 40
 SOLID = 0.7
 
 
-def warn_of_overlaps(contacts: Contacts, packing: Packing) -> None:
+def warn_of_overlaps(overlap: float) -> None:
     """Warn of grains that overlap so much that contacts are none any more; too much is refused.
 
     Raises ValueError above half a diameter: such a packing was never at rest.
     """
-    i, j = contacts.pairs.T
-    overlap = float((contacts.overlaps / (packing.radii[i] + packing.radii[j])).max(initial=0.0))
     if overlap > 0.5:
         raise ValueError(
             f"grains overlap by up to {overlap:.0%} of their diameter: prepare the packing anew"
@@ -47,7 +45,7 @@ class Response:
     Attributes:
         committed, trial: the two states. latest: the one of the two that was computed last.
         outcome: what was measured at `latest`. committed_outcome: the same at `committed`.
-        pressure: (B,) Pa, of the committed state.
+        pressure: (B,) Pa, of the committed state. time_step: (B,) s, longest that is stable there.
     """
 
     def __init__(self, packing: Packing, size: int, accuracy: Accuracy, threads: int = 1):
@@ -66,15 +64,18 @@ class Response:
         self._capacity = PAIRS_PER_GRAIN[packing.dim] * packing.size
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
         contacts = touching(packing)
-        warn_of_overlaps(contacts, packing)
+        overlap = largest_overlap(contacts, packing)
+        warn_of_overlaps(overlap)
         initial = stress(packing, contacts)
-        confining = max(float(pressure_of(initial)), 1e-6 * packing.contact_modulus)
+        confining = max(float(pressure_of(initial)), 1e-6 * packing.contact_modulus())
         self.loading = settings(packing, accuracy, confining)
         self.committed_outcome = Outcome.of(size, packing.dim)
         self.committed_outcome.stress[:] = initial
         self.committed_outcome.fabric[:] = fabric(contacts)
         self.committed_outcome.contacts[:] = len(contacts.pairs)
+        self.committed_outcome.overlap[:] = overlap
         self.committed_outcome.at_rest[:] = True
+        self._first_overlap = overlap
         self._cost = np.zeros(size)
         self.discard()
 
@@ -111,6 +112,19 @@ class Response:
         """Forget the trial state: the latest state is the committed one again."""
         self.latest, self.outcome = self.committed, self.committed_outcome
         self.pressure = pressure_of(self.outcome.stress)
+        self.time_step = self._stable_steps()
+
+    def _stable_steps(self) -> np.ndarray:
+        """(B,) s: shorter where contacts have stiffened since the packing was prepared."""
+        packing = self.committed.template
+        first = max(self._first_overlap, packing.overlap_under(self.loading.least_pressure))
+        steps = np.full(self.size, self.loading.time_step)
+        for b in np.flatnonzero(self.outcome.overlap > first):
+            stiffening = packing.contact_modulus(
+                self.outcome.overlap[b] * packing.mean_diameter
+            ) / packing.contact_modulus(first * packing.mean_diameter)
+            steps[b] /= np.sqrt(max(stiffening, 1.0))
+        return steps
 
     def _run(self, F, packings, new) -> Outcome:
         F = np.ascontiguousarray(F, dtype=np.float64)
@@ -128,8 +142,8 @@ class Response:
                 space, target = self._take_workspace(), self._take_state() if new is None else new
                 deform_in_turn(
                     tickets, waiting, packings, places, F, log_F, shear, self.pressure,
-                    self.material, self.loading, self.committed.state, target, outcome, status,
-                    space,
+                    self.time_step, self.material, self.loading, self.committed.state, target,
+                    outcome, status, space,
                 )  # fmt: skip
                 self._spaces.append(space)
                 if new is None:
@@ -231,7 +245,8 @@ class Response:
                 return work
         viscous = self.material.viscosity is not None
         packing = self.committed.template
-        return workspace(packing.size, packing.dim, self._capacity, viscous)
+        memory = len(self.committed.memory[0]) if self.size else 0
+        return workspace(packing.size, packing.dim, self._capacity, viscous, memory)
 
     def _make_more_room(self, name: str, capacity: int) -> None:
         if capacity > MOST_PAIRS_PER_GRAIN * self.committed.template.size:

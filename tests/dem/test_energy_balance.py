@@ -87,7 +87,7 @@ def one_step(moving: Moving, dt: float, L: np.ndarray, ledger: Ledger, held: np.
     rims = (lengths / work.pairs.reach[:count])[:, None] * in_space((w[:, i] + w[:, j]).T)
     slip = relative - (relative * normals).sum(1)[:, None] * normals - np.cross(rims, normals)
     before, after = held[i, j], tangential_of(work, normals)
-    kt = law.stiffness_ratio * work.pairs.stiffness[:count]
+    kt = law.stiffness_ratio * work.pairs.coefficient[:count]
     stored = ((after**2).sum(1) - (before**2).sum(1)) / (2.0 * kt)
     rubbed = -0.5 * dt * ((before + after) * slip).sum(1) - stored
     ledger.rubbed += rubbed.sum()
