@@ -83,7 +83,7 @@ class HomogenisedLaw:
         self._F = np.broadcast_to(self._identity, (size, self.dim, self.dim))
         self._initial_box = self.response.committed.box.copy()
         stiffest = np.abs(operator("UKO")(self.response, self._F)).max(initial=0.0)
-        self._failed_stiffness = FAILED_STIFFNESS * max(stiffest, 1e-6 * packing.contact_modulus)
+        self._failed_stiffness = FAILED_STIFFNESS * max(stiffest, 1e-6 * packing.contact_modulus())
         self._grains = packing.size
         self._initial_void_ratio = packing.void_ratio
 

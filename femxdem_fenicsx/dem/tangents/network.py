@@ -1,15 +1,23 @@
 """The contacts of one packing as the operators see them: branches, forces, stiffnesses.
 
 A contact's force on its grain j is f = f_n n + T, n from i to j, T normal to n. Its stiffnesses are
-k_n = df_n / du_n and k_t = df_t / du_t of the contact law (Guo-Zhao eq. 9), the linear law's here.
+k_n = df_n / du_n and k_t = df_t / du_t, those of its contact law (Guo-Zhao eq. 9).
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from .. import dynamics, neighbours
+from .. import dynamics
 from ..aliasing import kernel
+from ..contacts.interface import (
+    attraction,
+    elastic_force,
+    rolling_stiffness,
+    stiffnesses,
+    strained_overlap,
+)
+from ..loading import restore
 from ..response import Response
 
 
@@ -24,6 +32,7 @@ class Network(NamedTuple):
     tangential_stiffness: np.ndarray  # (C,) N/m
     normal_force: np.ndarray  # (C,) compression positive, N
     tangential_force: np.ndarray  # (C, d) T on j, N
+    rolling_stiffness: np.ndarray  # (C,) N m; 0 without rolling resistance
     volume: float  # of the box, m3
 
     @property
@@ -42,9 +51,9 @@ def network(response: Response, b: int) -> Network:
         room, dim = work.pairs.i.size, state[0].shape[1]
         arrays = Network(
             np.empty(room, np.int64), np.empty(room, np.int64), np.empty((room, dim)),
-            *np.empty((4, room)), np.empty((room, dim)), 0.0,
+            *np.empty((4, room)), np.empty((room, dim)), np.zeros(room), 0.0,
         )  # fmt: skip
-        count = _fill(b, state, material, material.cohesion, work, *arrays[:-1])
+        count = _fill(b, state, material, work, *arrays[:-1])
         if count < 0:
             return dynamics.NO_ROOM
         volume = float(np.linalg.det(state[0][b])) * response.loading.thickness
@@ -56,55 +65,58 @@ def network(response: Response, b: int) -> Network:
 
 
 @kernel
-def stiffnesses(c, material, pairs):
-    """(k_n, k_t) of a contact, N/m."""
-    normal = pairs.stiffness[c]
-    return normal, 0.0 if material.friction is None else material.stiffness_ratio * normal
+def _fill(b, state, material, work, i, j, branch, reach, k_n, k_t, f_n, tangential, k_r):
+    """Write the contacts of packing b; returns their number, -1 where there is no room."""
+    return _fill_with(
+        b, state, material, work, material.friction, material.cohesion, material.rolling,
+        material.bonds, i, j, branch, reach, k_n, k_t, f_n, tangential, k_r,
+    )  # fmt: skip
 
 
 @kernel
-def _fill(
-    b, state, material, cohesion, work, i, j, branch, reach, k_n, k_t, f_n, tangential
+def _fill_with(
+    b, state, material, work, friction, cohesion, rolling, bonds,
+    i, j, branch, reach, k_n, k_t, f_n, tangential, k_r,
 ):  # fmt: skip
-    """Write the contacts of packing b; returns their number, -1 where there is no room."""
-    motion, history, pairs = work.motion, work.history, work.pairs
-    motion.box[:] = state[0][b]
-    motion.position[:] = state[1][b]
-    history.first[:] = state[5][b]
-    known = history.first[-1]
-    history.j[:known] = state[6][b, :known]
-    history.tangential[:, :known] = state[7][b, :, :known]
-    box, position = motion.box, motion.position
-    listed = neighbours.build(
-        box, position, material.radius, material.inverse_mass, material.stiffness,
-        material.modulus, material.viscosity, 0.0, pairs, work.grid,
-    )  # fmt: skip
-    if listed < 0:
+    restore(b, state, work)
+    if dynamics.start(material, work) != dynamics.OK:
         return -1
-    neighbours.recall(pairs, history, work.grid)
-    dim = box.shape[0]
-    for c in range(listed):
-        i[c], j[c], reach[c] = pairs.i[c], pairs.j[c], pairs.reach[c]
+    box, position, pairs = work.motion.box, work.motion.position, work.pairs
+    dim, c = box.shape[0], 0
+    bond = None if bonds is None else 0.0
+    for pair in range(pairs.first[-1]):
+        i[c], j[c], reach[c] = pairs.i[pair], pairs.j[pair], pairs.reach[pair]
         squared = 0.0
         for p in range(dim):
             branch[c, p] = 0.0
             for q in range(dim):
                 branch[c, p] += box[p, q] * (
-                    position[q, j[c]] - position[q, i[c]] + pairs.shift[q, c]
+                    position[q, j[c]] - position[q, i[c]] + pairs.shift[q, pair]
                 )
             squared += branch[c, p] ** 2
         length = np.sqrt(squared)
-        k_n[c], k_t[c] = stiffnesses(c, material, pairs)
-        f_n[c] = k_n[c] * (reach[c] - length)
+        if bonds is not None:
+            bond = pairs.memory[-1, pair]
+        strained = strained_overlap(bonds, bond, reach[c] - length)
+        if strained == 0.0:
+            continue
+        k_n[c], k_t[c] = stiffnesses(material.law, pairs.coefficient[pair], abs(strained))
+        f_n[c] = elastic_force(material.law, bonds, pairs.coefficient[pair], strained)
+        if friction is None:
+            k_t[c] = 0.0
         if cohesion is not None:
-            f_n[c] -= cohesion
+            f_n[c] -= attraction(cohesion, reach[c] - length)
+        if rolling is not None:
+            one, other = material.radius[i[c]], material.radius[j[c]]
+            k_r[c] = rolling_stiffness(rolling, k_t[c], one * other / (one + other))
         if dim == 2:
-            tangential[c, 0] = -pairs.tangential[0, c] * branch[c, 1] / length
-            tangential[c, 1] = pairs.tangential[0, c] * branch[c, 0] / length
+            tangential[c, 0] = -pairs.tangential[0, pair] * branch[c, 1] / length
+            tangential[c, 1] = pairs.tangential[0, pair] * branch[c, 0] / length
         else:
             for p in range(dim):
-                tangential[c, p] = pairs.tangential[p, c]
-    return listed
+                tangential[c, p] = pairs.tangential[p, pair]
+        c += 1
+    return c
 
 
 def objective(columns: np.ndarray, stress: np.ndarray) -> np.ndarray:

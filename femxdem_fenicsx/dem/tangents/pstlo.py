@@ -63,8 +63,8 @@ def prestressed_truss(response: Response, F: np.ndarray) -> np.ndarray:
 
 @kernel
 def _solve(
-    unit, least, radius, basis, i, j, branch, reach, k_n, k_t, f_n, tangential, volume, columns
-):
+    unit, least, radius, basis, i, j, branch, reach, k_n, k_t, f_n, tangential, k_r, volume, columns
+):  # fmt: skip
     """Change of the stress per unit of each strain of `basis` into `columns`; the residual left."""
     dim, size, m = branch.shape[1], len(radius), len(unit)
     held = _held(least, size, i, j)
