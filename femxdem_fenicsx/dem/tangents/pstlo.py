@@ -9,7 +9,8 @@ R theta, a small motion changes the force F on j and the moment M / R that slows
     dM = d(lever n x T)
 
 (eq. B.4-B.11, where the contact divides the branch in the ratio of the radii). The twist, in 3D, is
-the mean rotation of both grains about n (Desrues eq. 24).
+the mean rotation of both grains about n (Desrues eq. 24). Rolling resistance, where the law has it,
+is a spring k_r between the rotations of both grains about the axes in the contact plane.
 """
 
 import numpy as np
@@ -17,14 +18,15 @@ import numpy as np
 from ..aliasing import kernel
 from ..response import Response
 from . import block_ldl
-from .network import Network, network, objective, strains
+from .kao import kruyt_augmented
+from .network import network, objective, strains
 
 #: Stiffness to the ground that every grain gets, over the mean k_n. It holds what nothing else does
 #: (the packing as a whole, grains without contacts) and is far below all else.
 GROUND = 1e-8
 #: Least contacts of a grain that can be held by them: with friction in 2D and 3D, without.
 HELD_BY = {(2, True): 2, (3, True): 3, (2, False): 3, (3, False): 4}
-#: On the residual of the linear equations, over the right-hand side.
+#: On the residual of the linear equations, over the forces of the affine motion.
 TOLERANCE = 1e-6
 MOST_REFINEMENTS = 50
 
@@ -33,14 +35,14 @@ def prestressed_truss(response: Response, F: np.ndarray) -> np.ndarray:
     """PSTLO: the exact derivative of a packing in which nothing slides, opens or closes (eq. 23).
 
     Grains with too few contacts to be held by them move along and bear nothing. Strains alone are
-    solved for: a rotation turns the stress.
-
-    Raises FloatingPointError for a packing whose equations cannot be solved.
+    solved for: a rotation turns the stress. A packing whose equations cannot be solved (it is about to
+    collapse) gets KAO.
     """
     B, dim = response.size, F.shape[-1]
     basis = strains(dim)
     columns = np.zeros((B, len(basis), dim, dim))
     stress = np.zeros((B, dim, dim))
+    left = np.zeros(B)
     radius = response.material.radius
     turning = response.material.friction is not None
     least = HELD_BY[dim, turning]
@@ -49,16 +51,15 @@ def prestressed_truss(response: Response, F: np.ndarray) -> np.ndarray:
     def one(b: int) -> None:
         contacts = network(response, b)
         stress[b] = contacts.stress
-        left = _solve(unit, least, radius, basis, *contacts[:-1], contacts.volume, columns[b])
-        if not left < TOLERANCE:
-            raise FloatingPointError(
-                f"packing {b}: the equations of PSTLO have no solution to {TOLERANCE:.0e}"
-                f" (residual {left:.1e}); take another operator"
-            )
+        left[b] = _solve(unit, least, radius, basis, *contacts, columns[b])
 
     response.for_each(one, np.arange(B))
     dilation = np.einsum("sii->s", basis)
-    return objective(columns - dilation[:, None, None] * stress[:, None], stress)
+    C = objective(columns - dilation[:, None, None] * stress[:, None], stress)
+    unsolved = ~(left < TOLERANCE)
+    if unsolved.any():
+        C[unsolved] = kruyt_augmented(response, F)[unsolved]
+    return C
 
 
 @kernel
@@ -93,15 +94,22 @@ def _solve(
                 diagonal[pi, p, q] += flip_p * flip_q * symmetric
                 diagonal[pj, p, q] += symmetric
                 value[c, p, q] = symmetric * (flip_q if pj > pi else flip_p)
+        for p in range(dim, m):
+            for q in range(dim, m):
+                rolling = k_r[c] * _across(c, p - dim, q - dim, branch)
+                diagonal[pi, p, q] += rolling / radius[i[c]] ** 2
+                diagonal[pj, p, q] += rolling / radius[j[c]] ** 2
+                value[c, p, q] -= rolling / (radius[i[c]] * radius[j[c]])
     below, pivot = np.empty((len(row), m, m)), np.empty((size, m, m))
     block_ldl.factorise(diagonal, column, value, following, first, row, unit, below, pivot)
 
     s = len(basis)
-    motion, target = np.zeros((size, m, s)), np.zeros((size, m, s))
+    motion, scale = np.zeros((size, m, s)), 0.0
     residual, ordered = np.zeros((size, m, s)), np.zeros((size, m, s))
     forces, moved = np.empty((m, s)), np.empty((m, s))
     for round in range(MOST_REFINEMENTS):
-        residual[:] = -ground * motion
+        residual[:] = motion
+        residual *= -ground
         columns[:] = 0.0
         for c in range(len(i)):
             a, b = i[c], j[c]
@@ -114,6 +122,8 @@ def _solve(
                     for q in range(m):
                         total += S[c, p, q] * moved[q, v]
                     forces[p, v] = total
+                    if round == 0:
+                        scale += total**2
             if m > dim and dim == 3:
                 _add_twist(a, b, c, branch, radius, twist, motion, forces)
             for p in range(m):
@@ -121,10 +131,15 @@ def _solve(
                     flip = 1.0 if p >= dim else -1.0
                     residual[a, p, v] -= flip * forces[p, v]
                     residual[b, p, v] -= forces[p, v]
+            if k_r[c] > 0.0:
+                _add_rolling(a, b, c, branch, radius, k_r, motion, residual)
             _add_stress(c, branch, f_n, tangential, forces, moved, columns)
-        if round == 0:
-            target[:] = residual
-        left = np.sqrt((residual**2).sum() / max((target**2).sum(), 1e-300))
+        squared = 0.0
+        for g in range(size):
+            for p in range(m):
+                for v in range(s):
+                    squared += residual[g, p, v] ** 2
+        left = np.sqrt(squared / max(scale, 1e-300))
         if left < TOLERANCE or not np.isfinite(left):
             break
         for g in range(size):
@@ -217,6 +232,29 @@ def _add_twist(i, j, c, branch, radius, twist, motion, forces):
             )
         for p in range(6):
             forces[p, v] += twist[c, p] * mean
+
+
+@kernel
+def _across(c, p, q, branch):
+    """Component of I - n n of contact c, along which spheres roll; 1 for disks."""
+    if branch.shape[1] == 2:
+        return 1.0
+    squared = branch[c, 0] ** 2 + branch[c, 1] ** 2 + branch[c, 2] ** 2
+    return (1.0 if p == q else 0.0) - branch[c, p] * branch[c, q] / squared
+
+
+@kernel
+def _add_rolling(i, j, c, branch, radius, k_r, motion, residual):
+    """Moments of the rolling springs, k_r times the rotation of j against i, over R."""
+    dim, m = branch.shape[1], motion.shape[1]
+    for v in range(motion.shape[2]):
+        for p in range(dim, m):
+            moment = 0.0
+            for q in range(dim, m):
+                turned = motion[j, q, v] / radius[j] - motion[i, q, v] / radius[i]
+                moment += k_r[c] * _across(c, p - dim, q - dim, branch) * turned
+            residual[i, p, v] += moment / radius[i]
+            residual[j, p, v] -= moment / radius[j]
 
 
 @kernel
