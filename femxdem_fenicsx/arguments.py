@@ -79,6 +79,10 @@ def add_grains(parser: argparse.ArgumentParser, count: int, noun: str) -> argpar
     return grains
 
 
+#: The operators that win, by dimension of the packing (docs/operators.md).
+DEFAULT_OPERATORS = {2: "PSTLO", 3: "UKO"}
+
+
 def add_compression(parser: argparse.ArgumentParser, strain: float) -> None:
     """Lateral pressure, axial strain and step."""
     loading = parser.add_argument_group("loading")
@@ -94,7 +98,10 @@ def add_solution(parser: argparse.ArgumentParser) -> None:
     solution.add_argument(
         "--time-step", type=float, help="share of the stability limit  (default: the preset's)"
     )
-    solution.add_argument("--operator", default="UKO", help=", ".join(OPERATORS))
+    solution.add_argument(
+        "--operator",
+        help=f"{', '.join(OPERATORS)}  (default: PSTLO for disks, UKO for spheres)",
+    )
     solution.add_argument("--tolerance", type=float, default=1e-2, help="FNORM/RNORM")
     solution.add_argument(
         "--displacement-tolerance", type=float, help="on the last correction too (Guo-Zhao: 1e-2)"
@@ -129,7 +136,8 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
         raise ValueError(f"unknown formulation '{args.formulation}'; choose from {known}")
     element(args.element, args.points).check_dim(dim)
     accuracy_of(args)
-    operator(args.operator)
+    if args.operator is not None:
+        operator(args.operator)
     if not 0 < args.step <= args.strain < 1:
         raise ValueError(
             f"--step {args.step} and --strain {args.strain}: need 0 < step <= strain < 1"
@@ -205,7 +213,8 @@ def law_for(
 ) -> HomogenisedLaw:
     """A copy of the packing at each of `size` material points of this rank."""
     threads = script.threads_per_rank(comm) if args.threads is None else args.threads
-    return HomogenisedLaw(packing, size, accuracy_of(args), args.operator, threads)
+    name = args.operator or DEFAULT_OPERATORS[packing.dim]
+    return HomogenisedLaw(packing, size, accuracy_of(args), name, threads)
 
 
 def convergence_of(args: argparse.Namespace) -> Convergence:

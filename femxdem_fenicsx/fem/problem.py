@@ -238,6 +238,11 @@ class Problem:
         self.u.x.array[:] = 0.0
         self._now = None
 
+    @property
+    def residual(self) -> float:
+        """FNORM/RNORM at the last iterate; NaN where there is none."""
+        return np.nan if self._now is None else self._now.ratio
+
     def forget(self) -> None:
         """Forget what the solver has learnt, but not the last increment: Jacobian, differences.
 

@@ -24,8 +24,11 @@ from .network import network, objective, strains
 #: Stiffness to the ground that every grain gets, over the mean k_n. It holds what nothing else does
 #: (the packing as a whole, grains without contacts) and is far below all else.
 GROUND = 1e-8
+#: The same for the rotations of spheres: one between two contacts can spin about the line through
+#: them, and what would hold it there is nearly nothing.
+GROUND_OF_SPINS = 1e-4
 #: Least contacts of a grain that can be held by them: with friction in 2D and 3D, without.
-HELD_BY = {(2, True): 2, (3, True): 3, (2, False): 3, (3, False): 4}
+HELD_BY = {(2, True): 2, (3, True): 2, (2, False): 3, (3, False): 4}
 #: On the residual of the linear equations, over the forces of the affine motion.
 TOLERANCE = 1e-6
 MOST_REFINEMENTS = 50
@@ -70,7 +73,9 @@ def _solve(
     dim, size, m = branch.shape[1], len(radius), len(unit)
     held = _held(least, size, i, j)
     S, twist = np.zeros((len(i), m, m)), np.zeros((len(i), m))
-    ground = GROUND * k_n.mean() if len(i) else 1.0
+    ground = np.full(m, GROUND * k_n.mean() if len(i) else 1.0)
+    if dim == 3:
+        ground[3:] *= GROUND_OF_SPINS / GROUND
     for c in range(len(i)):
         if held[i[c]] and held[j[c]]:
             _stiffness(c, branch, reach, k_n, k_t, f_n, tangential, unit, S, twist)
@@ -81,7 +86,7 @@ def _solve(
     following = np.full(size + len(i), -1)
     for k in range(size):
         for p in range(m):
-            diagonal[k, p, p] = ground
+            diagonal[k, p, p] = ground[p]
     for c in range(len(i)):
         pi, pj = place[i[c]], place[j[c]]
         column[c, 0], column[c, 1] = min(pi, pj), max(pi, pj)
@@ -108,8 +113,8 @@ def _solve(
     residual, ordered = np.zeros((size, m, s)), np.zeros((size, m, s))
     forces, moved = np.empty((m, s)), np.empty((m, s))
     for round in range(MOST_REFINEMENTS):
-        residual[:] = motion
-        residual *= -ground
+        for p in range(m):
+            residual[:, p] = -ground[p] * motion[:, p]
         columns[:] = 0.0
         for c in range(len(i)):
             a, b = i[c], j[c]
