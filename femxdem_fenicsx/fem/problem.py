@@ -233,8 +233,9 @@ class Problem:
         self._now = None
 
     def reject(self) -> None:
-        """Forget the trial; u is zero again."""
+        """Forget the trial and what the solver has learnt; u is zero again."""
         together(self._comm, self.operator.law.discard)
+        self.forget()
         self.u.x.array[:] = 0.0
         self._now = None
 
