@@ -16,10 +16,13 @@ from .dem.files import load_packing
 from .dem.packing import Packing
 from .dem.preparation import random_packing
 from .dem.tangents import OPERATORS, operator
+from .double_stress import one_parameter
 from .fem.collective import together
 from .fem.elements import element, names
 from .fem.problem import Convergence
 from .homogenised_law import HomogenisedLaw
+
+GRADIENTS = ("first", "second")
 
 
 def parser(description: str) -> argparse.ArgumentParser:
@@ -34,13 +37,20 @@ def parser(description: str) -> argparse.ArgumentParser:
 def add_discretisation(
     specimen, dim: int, cells: Sequence[int], kind: str, formulations: Sequence[str]
 ) -> None:
-    """--mesh, --element, --points and --formulation, into the group of the specimen."""
+    """--mesh, --element, --points, --formulation and --gradient, into the group of the specimen."""
     axes = ("NX", "NY", "NZ")[:dim]
     *others, last = names(dim)
     specimen.add_argument("--mesh", type=int, nargs=dim, default=tuple(cells), metavar=axes)
     specimen.add_argument("--element", default=kind, help=f"{', '.join(others)} or {last}")
     specimen.add_argument("--points", help="quadrature, e.g. 3x3  (default: the element's)")
     specimen.add_argument("--formulation", default="finite", help=", ".join(formulations))
+    specimen.add_argument("--gradient", default="first", help=", ".join(GRADIENTS))
+    specimen.add_argument(
+        "--second-gradient-modulus",
+        type=float,
+        metavar="D",
+        help="N, with --gradient second  (the internal length goes with its square root)",
+    )
 
 
 def add_grains(parser: argparse.ArgumentParser, count: int, noun: str) -> argparse._ArgumentGroup:
@@ -113,6 +123,7 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
         known = ", ".join(formulations)
         raise ValueError(f"unknown formulation '{args.formulation}'; choose from {known}")
     element(args.element, args.points).check_dim(dim)
+    _check_gradient(args, dim)
     accuracy_of(args)
     operator(args.operator)
     if not 0 < args.step <= args.strain < 1:
@@ -121,6 +132,22 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
         )
     if not args.pressure > 0:
         raise ValueError(f"--pressure {args.pressure}: the lateral pressure must be positive")
+
+
+def _check_gradient(args: argparse.Namespace, dim: int) -> None:
+    modulus = args.second_gradient_modulus
+    if args.gradient not in GRADIENTS:
+        raise ValueError(f"unknown gradient '{args.gradient}'; choose from {', '.join(GRADIENTS)}")
+    if args.gradient == "first":
+        if modulus is not None:
+            raise ValueError("--second-gradient-modulus needs --gradient second")
+        return
+    if modulus is None:
+        raise ValueError("--gradient second needs --second-gradient-modulus D, in N")
+    one_parameter(modulus, dim)
+    element(args.element, args.points).check_second_gradient()
+    if dim == 3 and args.formulation != "small":
+        raise ValueError("second gradient in 3D: use --formulation small")
 
 
 def packing_for(args: argparse.Namespace, comm: MPI.Comm, dim: int) -> Packing:

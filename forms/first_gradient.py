@@ -100,6 +100,10 @@ class FirstGradient:
         self.space = self.unknown.function_space
         self.F = deformation_gradient(self.displacement)
 
+    def straight(self, side, normal: int, component: int) -> list:
+        """Conditions on the gradient along a side with a uniform component: none here."""
+        return []
+
     def equilibrium(self, stress, tangent, pressures: Sequence = ()) -> tuple[ufl.Form, ufl.Form]:
         """Residual and Jacobian; see the head of this module."""
         dx = self._points.element.dx(self._points.mesh)

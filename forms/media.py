@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+
 from femxdem_fenicsx.double_stress import one_parameter
 from femxdem_fenicsx.fem.quadrature_points import QuadraturePoints
 
@@ -9,24 +11,14 @@ from .first_gradient import FirstGradient
 from .second_gradient import SecondGradient
 
 
-def medium(
-    points: QuadraturePoints,
-    formulation: str = "finite",
-    gradient: str = "first",
-    modulus: float | None = None,
+def medium_for(
+    args: argparse.Namespace, points: QuadraturePoints
 ) -> FirstGradient | SecondGradient:
-    """A continuum of first or second gradient on the mesh of `points`.
+    """The continuum that --gradient, --second-gradient-modulus and --formulation ask for.
 
-    Args:
-        points: of the mesh.
-        formulation: "small" or "finite".
-        gradient: "first" or "second".
-        modulus: D of the second gradient, N (Desrues eq. 44).
-
-    Raises:
-        ValueError: a modulus that is not positive, an element without a mixed space.
+    Raises ValueError for a modulus that is not positive and an element without a mixed space.
     """
-    if gradient == "first":
-        return FirstGradient(points, formulation)
-    stiffness = one_parameter(modulus, points.mesh.geometry.dim)
-    return SecondGradient(points, formulation, stiffness)
+    if args.gradient == "first":
+        return FirstGradient(points, args.formulation)
+    stiffness = one_parameter(args.second_gradient_modulus, points.mesh.geometry.dim)
+    return SecondGradient(points, args.formulation, stiffness)

@@ -49,13 +49,15 @@ class SecondGradient:
         stiffness: A of the double stress, (d,) * 6, N: see :mod:`femxdem_fenicsx.double_stress`.
 
     Raises:
-        ValueError: an element without a mixed space.
+        ValueError: an element without a mixed space; "finite" in 3D, whose form is too large.
     """
 
     def __init__(self, points: QuadraturePoints, formulation: str, stiffness: np.ndarray):
         mesh, self._points = points.mesh, points
         d = mesh.geometry.dim
         self._finite = {"small": False, "finite": True}[formulation]
+        if self._finite and d == 3:
+            raise ValueError("second gradient in 3D: use --formulation small")
         self.unknown = fem.Function(points.element.second_gradient_space(mesh))
         self.space, self.micro_space = (self.unknown.function_space.sub(k) for k in range(2))
         self.length = _cell_size(points)
@@ -81,13 +83,33 @@ class SecondGradient:
         u, nu, multiplier = ufl.split(mixed)
         return u, nu / self._l, self._scale * multiplier
 
+    def straight(self, side: np.ndarray, normal: int, component: int) -> list:
+        """Conditions that go with a displacement component that is uniform along a plane side.
+
+        Its derivatives along the side are zero there. Where they are left free, the multiplier
+        carries them with an error of the size of a cell (docs/second-gradient.md).
+
+        Args:
+            side: its facets.
+            normal: axis that it is normal to.
+            component: of the displacement.
+        """
+        d = len(self.displacement)
+        zero = fem.Constant(self._points.mesh, 0.0)
+        conditions = []
+        for axis in set(range(d)) - {normal}:
+            space = self.micro_space.sub(d * component + axis)
+            dofs = fem.locate_dofs_topological(space, d - 1, side)
+            conditions.append(fem.dirichletbc(zero, dofs, space))
+        return conditions
+
     def equilibrium(
         self, stress, tangent, pressures: Sequence = (), double_forces: Sequence = ()
     ) -> tuple[ufl.Form, ufl.Form]:
         """Residual (internal minus external forces) and Jacobian.
 
-        In 3D the Jacobian holds the rotation R of `increment`, whose derivative would take minutes to
-        compile; it is exact otherwise, and in 2D altogether.
+        In 3D the Jacobian holds the rotation that turns the committed double stress: its
+        derivative would take minutes to compile. In 2D it is exact.
 
         Args:
             stress: quadrature function (d, d), Pa.
@@ -193,5 +215,3 @@ def _cell_size(points: QuadraturePoints) -> float:
     own = np.array([points.volumes().sum(), len(points.cells)])
     volume, cells = points.mesh.comm.allreduce(own, MPI.SUM)
     return float((volume / cells) ** (1 / points.mesh.geometry.dim))
-
-

@@ -58,17 +58,19 @@ class Element:
             )
 
     def second_gradient_space(self, mesh):
-        """Space of (u, nu, lambda): this element's, linear and continuous, constant in each cell.
+        """Space of (u, nu, lambda): this element's u, linear nu, lambda constant in each cell.
 
-        The last two are (d, d) tensors (Desrues section 4.3).
+        nu and lambda are (d, d) tensors (Desrues section 4.3). On triangles and tetrahedra lambda
+        is linear and continuous: a constant one is not stable there (docs/second-gradient.md).
 
         Raises:
-            ValueError: an element of degree one, which has none that is stable.
+            ValueError: an element of degree one, which has no space that is stable.
         """
         self.check_second_gradient()
         d = mesh.geometry.dim
         micro = _dolfinx.lagrange_element(self.cell, 1, (d, d))
-        multiplier = _dolfinx.discontinuous_element(self.cell, (d, d))
+        boxes = self.cell in ("quadrilateral", "hexahedron")
+        multiplier = _dolfinx.discontinuous_element(self.cell, (d, d)) if boxes else micro
         mixed = _dolfinx.mixed_element([self._displacement(d), micro, multiplier])
         return _dolfinx.functionspace(mesh, mixed)
 
