@@ -30,7 +30,7 @@ from femxdem_fenicsx.compression import (
 )
 from femxdem_fenicsx.dem.files import save_packing
 from femxdem_fenicsx.dem.packing import Packing
-from femxdem_fenicsx.fem.collective import together
+from femxdem_fenicsx.collective import together
 from femxdem_fenicsx.fem.elements import element
 from femxdem_fenicsx.fem.external_operator import ExternalOperator
 from femxdem_fenicsx.fem.output import writable_folder

@@ -16,7 +16,7 @@ from .dem.files import load_packing
 from .dem.packing import Packing
 from .dem.preparation import random_packing
 from .dem.tangents import OPERATORS, operator
-from .fem.collective import together
+from .collective import together
 from .fem.elements import element, names
 from .fem.problem import Convergence
 from .homogenised_law import HomogenisedLaw

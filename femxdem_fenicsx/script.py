@@ -24,7 +24,7 @@ USER_ERROR, LOST_CONTROLLABILITY = 2, 3
 def run(main: Callable[[MPI.Comm], int], comm: MPI.Comm = MPI.COMM_WORLD) -> None:
     """Exit with what main(comm) returns; a user's mistake is one line and exit code 2.
 
-    Errors must reach all ranks (see `fem.collective.together`); rank 0 alone prints.
+    Errors must reach all ranks (see `collective.together`); rank 0 alone prints.
     """
     try:
         code = main(comm)

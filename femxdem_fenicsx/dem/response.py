@@ -4,6 +4,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import replace
 
 import numpy as np
 
@@ -111,6 +112,17 @@ class Response:
         """Forget the trial state: the latest state is the committed one again."""
         self.latest, self.outcome = self.committed, self.committed_outcome
         self.pressure = pressure_of(self.outcome.stress)
+
+    def restore(self, state: dict[str, np.ndarray], outcome: Outcome) -> None:
+        """Take over committed arrays of `PackingBatch.STATE`, and what was measured at them.
+
+        Of any number of packings, which have the template's grains. The trial is forgotten.
+        """
+        self.committed = replace(self.committed, **state)
+        self.trial = self.committed.copy()
+        self.committed_outcome = outcome
+        self._cost = outcome.loading_steps + outcome.hold_steps
+        self.discard()
 
     def _run(self, F, packings, new) -> Outcome:
         F = np.ascontiguousarray(F, dtype=np.float64)

@@ -12,7 +12,7 @@ from dolfinx import fem, io
 from mpi4py import MPI
 
 from . import _dolfinx
-from .collective import together
+from ..collective import together
 from .quadrature_points import QuadraturePoints
 
 

@@ -14,7 +14,7 @@ from petsc4py import PETSc
 
 from ..law import InadmissibleDeformation
 from . import _dolfinx
-from .collective import together
+from ..collective import together
 from .external_operator import ExternalOperator
 from .mesh_motion import MeshMotion
 from .options import PREFIX, defaults
