@@ -116,7 +116,9 @@ class DistributedLaw:
         ValueError: numbers that are missing or twice, on all ranks.
     """
 
-    def __init__(self, comm: MPI.Comm, points: np.ndarray, make: Callable[[np.ndarray], MovableLaw]):
+    def __init__(
+        self, comm: MPI.Comm, points: np.ndarray, make: Callable[[np.ndarray], MovableLaw]
+    ):
         self._comm, self._points = comm, np.asarray(points, np.int64)
         self.size = len(self._points)
         ranks = np.repeat(np.arange(comm.size), comm.allgather(self.size))
@@ -244,7 +246,10 @@ class DistributedLaw:
         rank, ranks = self._comm.rank, self._comm.size
         self._home, self.numbers = home, np.flatnonzero(home == rank)
         there, here = home[self._points], self._owner[self.numbers]
-        self._leaves, self._comes = np.lexsort((self._points, there)), np.argsort(here, kind="stable")
+        self._leaves, self._comes = (
+            np.lexsort((self._points, there)),
+            np.argsort(here, kind="stable"),
+        )
         away, back = np.bincount(there, minlength=ranks), np.bincount(here, minlength=ranks)
         neighbours = np.flatnonzero((away + back > 0) | (np.arange(ranks) == rank))
         self._away, self._back = away[neighbours], back[neighbours]
@@ -257,22 +262,20 @@ class DistributedLaw:
 
     def _to_homes(self, values: np.ndarray, purpose: str) -> np.ndarray:
         """Values at this rank's points -> values at the packings at home here."""
-        return self._exchange(
-            values, self._leaves, self._away, self._comes, self._back, purpose
-        )
+        return self._exchange(values, self._leaves, self._away, self._comes, self._back, purpose)
 
     def _to_points(self, values: np.ndarray, purpose: str) -> np.ndarray:
         """Values at the packings at home here -> values at this rank's points."""
-        return self._exchange(
-            values, self._comes, self._back, self._leaves, self._away, purpose
-        )
+        return self._exchange(values, self._comes, self._back, self._leaves, self._away, purpose)
 
     def _exchange(self, values, leaves, away, comes, back, purpose: str) -> np.ndarray:
         """Send rows `leaves` to the neighbours, `away` of them to each; receive `comes`."""
         leaving = np.ascontiguousarray(values[leaves])
         arriving = np.empty((len(comes), *values.shape[1:]), values.dtype)
         width = values.dtype.itemsize * int(np.prod(values.shape[1:]))
-        self._graph.Neighbor_alltoallv(_bytes(leaving, away * width), _bytes(arriving, back * width))
+        self._graph.Neighbor_alltoallv(
+            _bytes(leaving, away * width), _bytes(arriving, back * width)
+        )
         self.sent[purpose] += int(away[self._elsewhere].sum()) * width
         result = np.empty_like(arriving)
         result[comes] = arriving

@@ -174,6 +174,7 @@ class HomogenisedLaw:
     def state(self) -> dict[str, np.ndarray]:
         """The committed state, the whole of it: arrays with one row per packing."""
         response = self.response
+        response.committed.clear_unused()
         arrays = {name: getattr(response.committed, name) for name in PackingBatch.STATE}
         arrays = {name: array for name, array in arrays.items() if array is not None}
         for name, array in response.committed_outcome._asdict().items():
@@ -212,7 +213,7 @@ class HomogenisedLaw:
         """Read back, bit for bit, what `save` wrote; ValueError for a state of another shape."""
         if len(group["box"]) != self.size:
             shape, own = group["box"].shape, (self.size, self.dim, self.dim)
-            raise ValueError(f"box has shape {shape}, this law has {own}")
+            raise ValueError(f"{group.file.filename}: box has shape {shape}, this law has {own}")
         state = {}
         group.visititems(
             lambda name, item: (

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 from dolfinx import fem
 
+from ..collective import Interrupted, together
 from ..law import InadmissibleDeformation, Law
 from . import _dolfinx
-from ..collective import Interrupted, together
 from .quadrature_points import QuadraturePoints
 
 
