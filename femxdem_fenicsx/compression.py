@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
-from signal import Signals as Signal
-from time import perf_counter
 
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
 from . import plotting, script
-from .checkpoint import Checkpoint, CheckpointError, Checkpoints, Part, Saving, Signals
+from .checkpoint import Saving
 from .dem.packing import Packing
-from .fem.output import Fields, History, Log
 from .fem.problem import Problem
-from .fem.stepping import LoadStepping, Outcome, Position, StepRecord, walk
+from .fem.stepping import LoadStepping, StepRecord
 from .homogenised_law import HomogenisedLaw
+from .load_path import Run, Scene, follow
 from .plane_strain import PlaneStrain
 
 #: Of history.csv; a plane-strain run has the mean out-of-plane stress at the end of the row.
@@ -78,19 +76,6 @@ class Specimen:
         return float(total[0] / total[1])
 
 
-@dataclass
-class Run:
-    """How the load path ended, a row per step, and the seconds that solving took.
-
-    signal: number of the one that stopped it; 0 for none.
-    """
-
-    outcome: Outcome
-    rows: list[dict[str, float]]
-    solving: float
-    signal: int = 0
-
-
 def load(
     specimen: Specimen,
     strain: float,
@@ -109,147 +94,20 @@ def load(
         quiet: show no progress.
         saving: checkpoints to write, and perhaps one to go on from.
 
-    Raises:
-        ValueError: a checkpoint of another scene, damaged, or at the end already.
-        OSError: results cannot be written.
+    Raises what `load_path.follow` raises.
     """
-    comm = specimen.mesh.comm
-    parts = parts_of(specimen)
-    saved, start, rows = _saved(comm, saving, strain)
-    at, observing = start, 0.0
-    displacement = specimen.problem.motion.displacement
-    with (
-        Signals() as signals,
-        script.LoadProgress(comm, strain, quiet) as progress,
-        Log(comm, path.parent / "run.log", append=saved is not None) as log,
-        Fields(path, specimen.points, displacement, start.steps + 1 if saved else 0) as results,
-        History(comm, path.parent / "history.csv", columns_of(specimen.law), rows) as history,
-    ):
-        specimen.problem.operator.interrupted = lambda: signals.received > 0
-        checkpoints = None
-        if saving is not None:
-            checkpoints = Checkpoints(comm, saving, parts, start.steps if saved else None)
-        if saved is not None:
-            saved.load(parts)
-            for line in (*saved.refused, f"going on from {saved.path}, strain {start.load:.4%}"):
-                log.say(line)
-                progress.say(line)
-        else:
-            results.write(0.0, fields_of(specimen.law))
-        log.say(f"{comm.size} ranks, {comm.allreduce(specimen.points.size)} quadrature points")
-
-        def observe(record: StepRecord) -> None:
-            nonlocal observing
-            started = perf_counter()
-            rows.append(row_of(specimen, record))
-            history.write(rows[-1])
-            results.write(record.load, fields_of(specimen.law))
-            told = f"strain {record.load:.2%}  stress ratio {rows[-1]['stress_ratio']:.3f}"
-            progress.show(record.load, f"{told}  iterations {record.iterations}")
-            log.say(f"step {record.number}  {told}  {story(specimen, record)}")
-            observing += perf_counter() - started
-
-        def save() -> None:
-            nonlocal observing
-            started = perf_counter()
-            try:
-                written = checkpoints.write(at.steps, _common(at, rows))
-            except CheckpointError as error:
-                if saving.stop_on_failure:
-                    raise
-                log.say(str(error))
-                progress.say(f"{error}; the run goes on")
-            else:
-                if written:
-                    log.say(
-                        f"checkpoint {written.path}: {written.bytes / 1e6:.1f} MB in"
-                        f" {written.seconds:.2f} s"
-                    )
-            observing += perf_counter() - started
-
-        def between(position: Position) -> None:
-            nonlocal at
-            at = position
-            if checkpoints and checkpoints.due(at.steps):
-                save()
-
-        started = perf_counter()
-        outcome = walk(
-            specimen.problem, specimen.compress, strain, stepping, observe, start, between
-        )
-        solving = perf_counter() - started - observing
-        if checkpoints:
-            save()
-        stopped = signals.on_any_rank(comm) if outcome.interrupted else 0
-        log.say(f"{ending(outcome, stopped)} at strain {outcome.load:.4%}")
-    return Run(outcome, rows, solving, stopped)
-
-
-def parts_of(specimen: Specimen) -> dict[str, Part]:
-    """What a checkpoint holds of a specimen: the mesh's motion by cell, the law by point."""
-    points, law = specimen.points, specimen.law
-    numbers = getattr(law, "numbers", None)  # of distributed packings, which are not at home here
-    by_point = (lambda: points.index) if numbers is None else (lambda: law.numbers)
-    cells = np.asarray(specimen.mesh.topology.original_cell_index, np.int64)
-    return {
-        "problem": Part(specimen.problem, lambda: cells[points.cells], lambda: cells),
-        "law": Part(law, by_point, by_point),
-    }
-
-
-def _saved(
-    comm: MPI.Comm, saving: Saving | None, strain: float
-) -> tuple[Checkpoint | None, Position, list[dict[str, float]]]:
-    """The checkpoint to go on from, if any, with its position and rows of the history."""
-    if saving is None or not saving.resume:
-        return None, Position(), []
-    saved = Checkpoint.last(comm, saving.folder)
-    saved.check_scene(saving.scene)
-    start = Position(
-        **{f.name: saved.common[f"position/{f.name}"].item() for f in fields(Position)}
+    scene = Scene(
+        specimen.problem,
+        specimen.compress,
+        columns_of(specimen.law),
+        lambda record: row_of(specimen, record),
+        lambda: fields_of(specimen.law),
+        lambda row: (
+            f"strain {row['axial_strain']:.2%}  stress ratio {row['stress_ratio']:.3f}"
+            f"  iterations {row['iterations']}"
+        ),
     )
-    if not start.load < strain:
-        raise ValueError(
-            f"{saved.path}: strain {start.load:.4%} is reached already; ask for more than"
-            f" {strain:.4%} to go on"
-        )
-    columns = {
-        name.removeprefix("history/"): values
-        for name, values in saved.common.items()
-        if name.startswith("history/")
-    }
-    return (
-        saved,
-        start,
-        [
-            {name: values[row].item() for name, values in columns.items()}
-            for row in range(start.steps)
-        ],
-    )
-
-
-def _common(at: Position, rows: list[dict[str, float]]) -> dict[str, np.ndarray]:
-    """The position on the load path and the history, as arrays."""
-    position = {f"position/{name}": np.array(value) for name, value in asdict(at).items()}
-    names = rows[0] if rows else ()
-    return position | {f"history/{name}": np.array([row[name] for row in rows]) for name in names}
-
-
-def ending(outcome: Outcome, stopped: int) -> str:
-    """How a load path ended, in a few words."""
-    if stopped:
-        return f"stopped by {Signal(stopped).name}"
-    return outcome.lost_controllability or "the end is reached"
-
-
-def story(specimen: Specimen, record: StepRecord) -> str:
-    """What the log tells of a step beside its numbers."""
-    told = f"{record.evaluations} evaluations  {record.seconds:.1f} s"
-    balance = getattr(specimen.law, "balance", None)
-    if balance is None:
-        return told
-    told += f"  imbalance {balance.before:.2f}"
-    return f"{told} -> {balance.after:.2f}, {balance.moved} moved" if balance.moved else told
+    return follow(scene, strain, stepping, path, quiet, saving)
 
 
 def columns_of(law: HomogenisedLaw | PlaneStrain) -> tuple[str, ...]:
@@ -325,7 +183,7 @@ def tell(title: str, specimen: Specimen, run: Run, seconds: float, quiet: bool =
         script.print_table(comm, title, summary(specimen, run, seconds), quiet)
     if run.signal:
         if comm.rank == 0:
-            print(f"{ending(run.outcome, run.signal)}; --resume goes on with it")
+            print(f"{run.ending}; --resume goes on with it")
         return script.SIGNALLED + run.signal
     if run.outcome.lost_controllability:
         if comm.rank == 0:
