@@ -48,7 +48,8 @@ def _fail(comm: MPI.Comm, watch: MPI.Comm, error: Exception) -> int:
     known = elsewhere or isinstance(error, USER_ERRORS)
     if comm.rank == 0 or not everywhere:
         if known:
-            print(f"error: {error}", file=sys.stderr, flush=True)
+            where = "" if everywhere else f"on rank {comm.rank}: "
+            print(f"error: {where}{error}", file=sys.stderr, flush=True)
         else:
             traceback.print_exception(error)
             sys.stderr.flush()

@@ -1,17 +1,24 @@
 """Runs for test_checkpoint.py: ``python -m tests.checkpoint_run TASK FOLDER ...`` on some ranks."""
 
 import errno
+import hashlib
 import json
 import os
 import signal
 import sys
 import time
+import traceback
 from pathlib import Path
 
+import h5py
+import mpi4py
 import numpy as np
-from mpi4py import MPI
 
-from femxdem_fenicsx.checkpoint import Checkpoint, Checkpoints, Part, Saving
+mpi4py.rc.initialize = "lives" not in sys.argv
+
+from mpi4py import MPI  # noqa: E402
+
+from femxdem_fenicsx.checkpoint import Checkpoint, Checkpoints, Part, Saving  # noqa: E402
 
 COMM = MPI.COMM_WORLD
 
@@ -39,46 +46,62 @@ class Counting:
         return Part(self, lambda: self.rows, lambda: self.rows)
 
 
-def rows_of_rank(count: int = 12) -> np.ndarray:
-    return np.arange(count)[COMM.rank :: COMM.size]
-
-
-def at_step(step: int, width: int, rows=None) -> Counting:
-    """What a run without an end in between has at a step."""
-    counting = Counting(rows_of_rank() if rows is None else rows, width)
+def at_step(step: int, width: int) -> Counting:
+    """What a run without an end in between has at a step, on this rank."""
+    counting = Counting(np.arange(12)[COMM.rank :: COMM.size], width)
     for _ in range(step):
         counting.advance()
     return counting
 
 
-def count(folder: Path, width: int, last: int) -> None:
-    """Go on from the folder's checkpoint, if there is one; tell each that has been written."""
-    counting, step = at_step(0, width), 0
-    saving = Saving(folder, {"width": width}, every=1)
-    goes_on = None
-    if list(folder.glob("step_*")):
+def count(folder: Path, width: int, told: int, pipe: int) -> None:
+    """Go on from the folder's checkpoint and write one each step, for ever; tell it to the pipe.
+
+    What has been told must be there, and be what a run without an end in between has.
+    """
+    counting, step, goes_on = at_step(0, width), 0, None
+    if told > 0:
         saved = Checkpoint.last(COMM, folder)
         saved.load({"rows": counting.part()})
         goes_on = step = int(saved.common["step"])
-    checkpoints = Checkpoints(COMM, saving, {"rows": counting.part()}, goes_on)
-    while step < last:
+        assert step >= told, f"step {told} was written, {step} is found"
+        assert np.array_equal(counting.values, at_step(step, width).values)
+    checkpoints = Checkpoints(COMM, Saving(folder, {}), {"rows": counting.part()}, goes_on)
+    while True:
         counting.advance()
         step += 1
         checkpoints.write(step, {"step": np.array(step)})
-        if COMM.rank == 0:
-            print(step, flush=True)
+        os.write(pipe, step.to_bytes(4, "little"))
 
 
-def check(folder: Path, width: int) -> None:
-    """The last checkpoint holds what its step says; tell the step."""
-    saved = Checkpoint.last(COMM, folder)
-    step = int(saved.common["step"])
-    counting = at_step(0, width)
-    saved.load({"rows": counting.part()})
-    right = np.array_equal(counting.values, at_step(step, width).values)
-    right = COMM.allreduce(right, MPI.LAND)
-    if COMM.rank == 0:
-        print(json.dumps({"step": step, "right": right}))
+def lives(folder: Path, kills: int) -> None:
+    """Kill `count` at random moments, and go on each time: how far it came, what was cut short."""
+    moments = np.random.default_rng(11)
+    told, partial = 0, 0
+    for life in range(kills + 1):
+        hear, say = os.pipe()
+        child = os.fork()  # MPI starts in the child
+        if child == 0:
+            try:
+                MPI.Init()
+                count(folder, 10_000, told, say)
+            finally:
+                traceback.print_exc()
+                os._exit(3)
+        os.close(say)
+        first = os.read(hear, 4)  # it is up
+        time.sleep(moments.uniform(0, 0.05) if life < kills else 0)
+        os.kill(child, signal.SIGKILL)
+        _, status = os.waitpid(child, 0)
+        if not first or not os.WIFSIGNALED(status):
+            raise SystemExit(f"life {life} ended by itself")
+        heard = first
+        while more := os.read(hear, 4096):
+            heard += more
+        os.close(hear)
+        told = int.from_bytes(heard[-4:], "little")
+        partial += bool(list(folder.glob(".*.partial")))
+    print(json.dumps({"steps": told, "partial": partial}))
 
 
 def full(folder: Path) -> None:
@@ -114,16 +137,16 @@ def full(folder: Path) -> None:
 def specimen(folder: Path, *options: str) -> None:
     """Compress a softening specimen.
 
-    Options: --resume, stop (on a failure to write), end=, every=, threshold= (a law parameter), and
-    what is to go wrong: kill=, term= (a signal at that evaluation, to itself), output=,
-    checkpoint=, law=, solve= (an error on the last rank at that call), limit= (on file sizes).
+    Options: --resume, digest (of the state), stop (on a failure to write), end=, every=,
+    threshold= (a law parameter), and what is to go wrong: kill=, term= (a signal at that
+    evaluation), law=, output=, solve= (an error of a rank at that call), limit= (on file sizes).
     """
     from femxdem_fenicsx import distribution, script
     from femxdem_fenicsx.fem import problem
-    from femxdem_fenicsx.fem.output import writable_folder
+    from femxdem_fenicsx.fem.output import History, writable_folder
     from femxdem_fenicsx.fem.stepping import LoadStepping
     from femxdem_fenicsx.law import Softening
-    from femxdem_fenicsx.load_path import Scene, follow
+    from femxdem_fenicsx.load_path import Scene, follow, parts_of
     from tests.fem.specimen import Specimen
 
     given = dict(option.split("=") for option in options if "=" in option)
@@ -141,8 +164,8 @@ def specimen(folder: Path, *options: str) -> None:
             fail("law", Troubled.calls)
             return super().evaluate(F)
 
-    def fail(where: str, calls: int) -> None:
-        if str(calls) == given.get(where) and COMM.rank == COMM.size - 1:
+    def fail(where: str, calls: int, rank: int = COMM.size - 1) -> None:
+        if str(calls) == given.get(where) and COMM.rank == rank:
             raise OSError(errno.ENOSPC, f"no room in the {where}")
 
     def make(numbers):
@@ -163,6 +186,14 @@ def specimen(folder: Path, *options: str) -> None:
                 assemble(*arguments)
 
             problem._dolfinx.assemble_matrix = assemble_matrix
+        if "output" in given:
+            append, rows = History._append, iter(range(1, 1000))
+
+            def _append(self, row):
+                fail("output", next(rows), rank=0)
+                append(self, row)
+
+            History._append = _append
         if "limit" in given:
             import resource
 
@@ -171,7 +202,6 @@ def specimen(folder: Path, *options: str) -> None:
         body.pressure.value = 0.2
 
         def row(record):
-            fail("output", record.number)
             return {"load": record.load, "step": record.number, "cuts": record.cuts,
                     "evaluations": record.evaluations, "converged": record.converged,
                     "force": body.top_force(), "volume": body.volume()}  # fmt: skip
@@ -192,18 +222,39 @@ def specimen(folder: Path, *options: str) -> None:
             stop_on_failure="stop" in options,
         )
         end = float(given.get("end", 0.03))
+        if "digest" in options and saving.resume:
+            Checkpoint.last(comm, saving.folder).load(parts_of(scene))
+            print_digest(parts_of(scene))
         run = follow(scene, end, LoadStepping(0.002), folder / "fields", True, saving)
+        if "digest" in options:
+            print_digest(parts_of(scene))
         return script.SIGNALLED + run.signal if run.signal else 0
 
+    script.TOGETHER = 1.0
     script.run(main)
+
+
+def print_digest(parts: dict[str, Part]) -> None:
+    """A checksum over all rows of the state, in the order of their numbers."""
+    digest = hashlib.sha256()
+    for name, part in parts.items():
+        with h5py.File(name, "w", driver="core", backing_store=False) as file:
+            part.thing.save(file)
+            arrays = {dataset: file[dataset][()] for dataset in file}
+        for dataset in sorted(arrays):
+            told = COMM.gather((part.saves(), arrays[dataset]))
+            if told:
+                order = np.argsort(np.concatenate([numbers for numbers, _ in told]))
+                rows = np.concatenate([rows for _, rows in told])[order]
+                digest.update(f"{name}/{dataset} {rows.shape}".encode() + rows.tobytes())
+    if COMM.rank == 0:
+        print(digest.hexdigest())
 
 
 if __name__ == "__main__":
     task, folder, *rest = sys.argv[1:]
-    if task == "count":
-        count(Path(folder), *map(int, rest))
-    elif task == "check":
-        check(Path(folder), int(rest[0]))
+    if task == "lives":
+        lives(Path(folder), int(rest[0]))
     elif task == "full":
         full(Path(folder))
     else:

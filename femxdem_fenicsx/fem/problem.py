@@ -179,6 +179,8 @@ class Problem:
         _, self._values = _dolfinx.prescribed(self._work, self.bcs)
         self._x.array[:] = self._first_guess(step)
         self._now = self._before = self._best = None  # u = 0 was no iterate
+        # MUMPS orders by the values of the first matrix: a resumed run must order as this one does
+        self.snes.getKSP().reset()
         try:
             self.snes.solve(None, self._x)
         except Exception:
