@@ -15,7 +15,7 @@ from . import script
 from .checkpoint import Checkpoint, Saving
 from .collective import together
 from .dem.accuracy import PRESETS, Accuracy, preset
-from .dem.contacts import LinearContact
+from .dem.contacts import Bonds, ContactLaw, HertzMindlin, LinearContact, RollingResistance
 from .dem.files import load_packing, save_packing
 from .dem.packing import Packing
 from .dem.preparation import random_packing
@@ -68,11 +68,26 @@ def add_grains(parser: argparse.ArgumentParser, count: int, noun: str) -> argpar
     )
     grains.add_argument("--seed", type=int, default=1)
     grains.add_argument(
+        "--contact-law", default="linear", help=f"elasticity: {', '.join(CONTACT_LAWS)}"
+    )
+    grains.add_argument(
         "--friction", type=float, default=float(np.tan(0.5)), help="of the contacts"
     )
-    grains.add_argument("--modulus", type=float, default=6e8, help="E_c of the contacts, Pa")
-    grains.add_argument("--stiffness-ratio", type=float, default=0.8, help="k_t / k_n")
+    grains.add_argument("--modulus", type=float, default=6e8, help="E_c of linear contacts, Pa")
+    grains.add_argument("--stiffness-ratio", type=float, default=0.8, help="their k_t / k_n")
+    grains.add_argument("--shear-modulus", type=float, default=4e9, help="G for hertz, Pa")
+    grains.add_argument("--poisson-ratio", type=float, default=0.2, help="nu for hertz")
     grains.add_argument("--cohesion", type=float, default=0.0, help="of a contact, N")
+    grains.add_argument(
+        "--rolling-friction", type=float, help="largest rolling moment over r f_n  (default: none)"
+    )
+    grains.add_argument(
+        "--bonds",
+        type=float,
+        nargs=2,
+        metavar=("TENSION", "SHEAR"),
+        help="strength of cement between grains that touch, N  (default: none)",
+    )
     grains.add_argument(
         "--compaction-friction", type=float, default=0.0, help="0: dense, 0.2: loose"
     )
@@ -147,11 +162,37 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
         raise ValueError(f"--checkpoint-every {args.checkpoint_every}: it must be 1 or more")
 
 
+def contact_law_for(args: argparse.Namespace) -> ContactLaw:
+    """The contact law that was asked for; ValueError for values that make none."""
+    rolling, bonds = args.rolling_friction, args.bonds
+    shared = {
+        "friction": args.friction,
+        "cohesion": args.cohesion,
+        "rolling": None if rolling is None else RollingResistance(rolling),
+        "bonds": None if bonds is None else Bonds(*bonds),
+    }
+    if args.contact_law not in CONTACT_LAWS:
+        known = ", ".join(CONTACT_LAWS)
+        raise ValueError(f"unknown contact law '{args.contact_law}'; choose from {known}")
+    return CONTACT_LAWS[args.contact_law](args, shared)
+
+
+#: Elastic laws by name, from arguments and what all laws share.
+CONTACT_LAWS = {
+    "linear": lambda args, shared: LinearContact(
+        modulus=args.modulus, stiffness_ratio=args.stiffness_ratio, **shared
+    ),
+    "hertz": lambda args, shared: HertzMindlin(
+        shear_modulus=args.shear_modulus, poisson_ratio=args.poisson_ratio, **shared
+    ),
+}
+
+
 def packing_for(args: argparse.Namespace, comm: MPI.Comm, dim: int) -> Packing:
     """The packing of disks (dim 2) or spheres (3), read or prepared by rank 0, on all ranks.
 
     Random grains are thrown into a wide periodic box, which is compressed to the pressure of the
-    test. Their contacts are linear with Coulomb friction.
+    test. Where their contact law has bonds, those that touch then are cemented.
 
     A run that is resumed has the packing of its checkpoint.
 
@@ -170,16 +211,10 @@ def packing_for(args: argparse.Namespace, comm: MPI.Comm, dim: int) -> Packing:
             return _saved_packing(saved, args.packing, dim)
         if args.packing is not None:
             return load_packing(args.packing, dim)
-        law = LinearContact(
-            modulus=args.modulus,
-            stiffness_ratio=args.stiffness_ratio,
-            friction=args.friction,
-            cohesion=args.cohesion,
-        )
         return random_packing(
             args.grains,
             args.radii,
-            law,
+            contact_law_for(args),
             args.pressure,
             args.compaction_friction,
             args.seed,

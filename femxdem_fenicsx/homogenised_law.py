@@ -124,7 +124,7 @@ class HomogenisedLaw:
         self._initial_box = self.response.committed.box.copy()
         one = Response(packing, 1, accuracy)  # a rank may have no packing at first
         stiffest = np.abs(operator("UKO")(one, self._identity[None])).max()
-        self._failed_stiffness = FAILED_STIFFNESS * max(stiffest, 1e-6 * packing.contact_modulus)
+        self._failed_stiffness = FAILED_STIFFNESS * max(stiffest, 1e-6 * packing.contact_modulus())
         self._grains = packing.size
         self._initial_void_ratio = packing.void_ratio
 
