@@ -20,6 +20,7 @@ from mpi4py import MPI
 
 from femxdem_fenicsx import arguments as shared
 from femxdem_fenicsx import plotting, script
+from femxdem_fenicsx.collective import together
 from femxdem_fenicsx.compression import (
     Run,
     Specimen,
@@ -30,7 +31,6 @@ from femxdem_fenicsx.compression import (
 )
 from femxdem_fenicsx.dem.files import save_packing
 from femxdem_fenicsx.dem.packing import Packing
-from femxdem_fenicsx.fem.collective import together
 from femxdem_fenicsx.fem.elements import element
 from femxdem_fenicsx.fem.external_operator import ExternalOperator
 from femxdem_fenicsx.fem.output import writable_folder
@@ -77,7 +77,7 @@ def specimen_for(args: argparse.Namespace, packing: Packing, comm: MPI.Comm) -> 
     kind = element(args.element, args.points)
     mesh = rectangle(comm, args.width, args.height, *args.mesh, kind)
     points = QuadraturePoints(mesh, kind)
-    law = shared.law_for(args, packing, points.size, comm)
+    law = shared.law_for(args, packing, points, comm)
     if packing.dim == 3:
         law = PlaneStrain(law)
     u = fem.Function(kind.space(mesh))
@@ -108,12 +108,13 @@ def specimen_for(args: argparse.Namespace, packing: Packing, comm: MPI.Comm) -> 
 # ## Loading
 #
 # `load` goes along the load path and cuts steps where the iteration fails. After every accepted
-# step it writes a row of the table and the fields.
+# step it writes a row of the table and the fields, and every now and then a checkpoint.
 
 
 def compress(specimen: Specimen, args: argparse.Namespace) -> Run:
     stepping = LoadStepping(args.step, looser_limit=args.looser_tolerance)
-    return load(specimen, args.strain, stepping, args.output / "biaxial", args.quiet)
+    saving = shared.saving_of(args, specimen.law)
+    return load(specimen, args.strain, stepping, args.output / "biaxial", args.quiet, saving)
 
 
 # ## Results
@@ -155,7 +156,8 @@ def main(comm: MPI.Comm) -> int:
     writable_folder(comm, args.output)
     specimen = specimen_for(args, shared.packing_for(args, comm, args.dim), comm)
     run = compress(specimen, args)
-    pictures(specimen, run.rows, args.output)
+    if not run.signal:
+        pictures(specimen, run.rows, args.output)
     seconds = perf_counter() - started
     return tell("Drained biaxial compression", specimen, run, seconds, args.quiet)
 

@@ -12,6 +12,7 @@ from .homogenisation import measure, touching
 from .loading import pressure_of
 from .neighbours import remember
 from .packing import PAIRS_PER_GRAIN, Packing
+from .response import load_kernels
 from .stability import stable_time_step
 
 #: Local damping (Guo-Zhao eq. 18) while a packing is prepared.
@@ -71,6 +72,7 @@ def random_packing(
         raise ValueError(f"a packing has 2 or 3 dimensions, not {dim}")
     if thickness is None:
         thickness = 0.1 if dim == 2 else 1.0
+    load_kernels(law, dim)
     rng = np.random.default_rng(seed)
     compaction_law = replace(
         law, friction=compaction_friction, cohesion=0.0, rolling=None, bonds=None

@@ -4,10 +4,12 @@ import warnings
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import replace
 
 import numpy as np
 
-from .accuracy import Accuracy
+from .accuracy import PRESETS, Accuracy
+from .contacts import ContactLaw
 from .dynamics import NO_ROOM, OK, Workspace, workspace
 from .homogenisation import fabric, largest_overlap, stress, touching
 from .loading import Outcome, deform_in_turn, logarithm, pressure_of, settings, shear_of
@@ -36,6 +38,24 @@ def warn_of_overlaps(overlap: float) -> None:
         )
 
 
+_loaded: set[tuple[ContactLaw, int]] = set()
+
+
+def load_kernels(law: ContactLaw, dim: int) -> None:
+    """Deform a grain on its own, so that this process loads these kernels before any other.
+
+    A cached kernel holds copies of those that it calls, optimised once more, and of two copies a
+    process runs the one that it loaded first. They differ by rounding. A rank that prepares a
+    packing must run the same as one that does not, and a run the same as when it is resumed.
+    """
+    if (law, dim) in _loaded:
+        return
+    _loaded.add((law, dim))
+    radius = 1e-3
+    grain = Packing(10 * radius * np.eye(dim), np.full((1, dim), 0.5), [radius], law)
+    Response(grain, 1, PRESETS["fast"]).deform(np.eye(dim)[None])
+
+
 class Response:
     """B packings with a committed state and a trial state.
 
@@ -55,6 +75,7 @@ class Response:
         """
         if threads < 1:
             raise ValueError(f"threads must be 1 or more, got {threads}")
+        load_kernels(packing.law, packing.dim)
         self.committed = PackingBatch.of(packing, size)
         self.trial = self.committed.copy()
         self.material = packing.material
@@ -125,6 +146,17 @@ class Response:
             ) / packing.contact_modulus(first * packing.mean_diameter)
             steps[b] /= np.sqrt(max(stiffening, 1.0))
         return steps
+
+    def restore(self, state: dict[str, np.ndarray], outcome: Outcome) -> None:
+        """Take over committed arrays of `PackingBatch.STATE`, and what was measured at them.
+
+        Of any number of packings, which have the template's grains. The trial is forgotten.
+        """
+        self.committed = replace(self.committed, **state)
+        self.trial = self.committed.copy()
+        self.committed_outcome = outcome
+        self._cost = outcome.loading_steps + outcome.hold_steps
+        self.discard()
 
     def _run(self, F, packings, new) -> Outcome:
         F = np.ascontiguousarray(F, dtype=np.float64)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from dolfinx import fem
 
+from ..collective import Interrupted, together
 from ..law import InadmissibleDeformation, Law
 from . import _dolfinx
-from .collective import together
 from .quadrature_points import QuadraturePoints
 
 
@@ -20,6 +22,7 @@ class ExternalOperator:
         stress: Cauchy stress, quadrature function (d, d), Pa.
         tangent: C, quadrature function (d*d, d*d), Pa.
         evaluations: how often the law was evaluated.
+        interrupted: asked before each evaluation whether the run is to stop.
 
     Args:
         deformation_gradient: UFL expression (d, d) of the step's displacement.
@@ -48,6 +51,7 @@ class ExternalOperator:
         dofs = _dolfinx.dofmap(self.stress.function_space)
         self._dofs = dofs[: len(points.cells)].ravel()
         self.evaluations = 0
+        self.interrupted: Callable[[], bool] = lambda: False
 
     def _check_law(self, d: int) -> None:
         if (self.law.dim, self.law.size) != (d, self.points.size):
@@ -67,14 +71,18 @@ class ExternalOperator:
         Raises:
             InadmissibleDeformation: on all ranks, where F somewhere is not finite, turns a point
                 inside out or is too far from I, or where the law says so.
+            Interrupted: on all ranks, where the run is to stop.
             Exception: what else the law raises, on all ranks.
         """
         comm = self.points.mesh.comm
         F = self.points.evaluate(self._F, self._shape[1:])
+        together(comm, self._check, F)  # before the law: its ranks may exchange data
         stress = together(comm, self._evaluate, F)
         self._set(self.stress, stress)
 
-    def _evaluate(self, F: np.ndarray) -> np.ndarray:
+    def _check(self, F: np.ndarray) -> None:
+        if self.interrupted():
+            raise Interrupted("the run was asked to stop")
         far = np.abs(F - np.eye(F.shape[1])).max(axis=(1, 2), initial=0.0)
         with np.errstate(invalid="ignore"):
             wrong = np.flatnonzero(~((far <= self._largest) & (np.linalg.det(F) > 0)))
@@ -83,6 +91,8 @@ class ExternalOperator:
                 f"deformation gradient {F[wrong[0]].tolist()} of one step at quadrature point "
                 f"{self.points.index[wrong[0]]}: the iterate went astray or the step is too large"
             )
+
+    def _evaluate(self, F: np.ndarray) -> np.ndarray:
         self.evaluations += 1
         stress = np.asarray(self.law.evaluate(F))
         if stress.shape != self._shape:
