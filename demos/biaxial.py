@@ -21,6 +21,7 @@ from mpi4py import MPI
 
 from femxdem_fenicsx import arguments as shared
 from femxdem_fenicsx import plotting, script
+from femxdem_fenicsx.collective import together
 from femxdem_fenicsx.compression import (
     Run,
     Specimen,
@@ -31,7 +32,6 @@ from femxdem_fenicsx.compression import (
 )
 from femxdem_fenicsx.dem.files import save_packing
 from femxdem_fenicsx.dem.packing import Packing
-from femxdem_fenicsx.fem.collective import together
 from femxdem_fenicsx.fem.elements import element
 from femxdem_fenicsx.fem.external_operator import ExternalOperator
 from femxdem_fenicsx.fem.output import writable_folder
@@ -86,7 +86,7 @@ def specimen_for(args: argparse.Namespace, packing: Packing, comm: MPI.Comm) -> 
     tags = sides(mesh, args.width, args.height)
     dent(mesh, args.imperfection, args.width, args.height)
     points = QuadraturePoints(mesh, kind)
-    law = shared.law_for(args, packing, points.size, comm)
+    law = shared.law_for(args, packing, points, comm)
     if packing.dim == 3:
         law = PlaneStrain(law)
     medium = medium_for(args, points)
@@ -126,12 +126,13 @@ def dent(mesh, depth: float, width: float, height: float) -> None:
 # ## Loading
 #
 # `load` goes along the load path and cuts steps where the iteration fails. After every accepted
-# step it writes a row of the table and the fields.
+# step it writes a row of the table and the fields, and every now and then a checkpoint.
 
 
 def compress(specimen: Specimen, args: argparse.Namespace) -> Run:
     stepping = LoadStepping(args.step, looser_limit=args.looser_tolerance)
-    return load(specimen, args.strain, stepping, args.output / "biaxial", args.quiet)
+    saving = shared.saving_of(args, specimen.law)
+    return load(specimen, args.strain, stepping, args.output / "biaxial", args.quiet, saving)
 
 
 # ## Results
@@ -175,7 +176,8 @@ def main(comm: MPI.Comm) -> int:
     writable_folder(comm, args.output)
     specimen = specimen_for(args, shared.packing_for(args, comm, args.dim), comm)
     run = compress(specimen, args)
-    pictures(specimen, run.rows, args.output)
+    if not run.signal:
+        pictures(specimen, run.rows, args.output)
     seconds = perf_counter() - started
     return tell("Drained biaxial compression", specimen, run, seconds, args.quiet)
 

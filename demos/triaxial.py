@@ -15,10 +15,10 @@ from mpi4py import MPI
 
 from femxdem_fenicsx import arguments as shared
 from femxdem_fenicsx import script
+from femxdem_fenicsx.collective import together
 from femxdem_fenicsx.compression import Specimen, load, packing_at_extreme, save_curves, tell
 from femxdem_fenicsx.dem.files import save_packing
 from femxdem_fenicsx.dem.packing import Packing
-from femxdem_fenicsx.fem.collective import together
 from femxdem_fenicsx.fem.elements import element
 from femxdem_fenicsx.fem.external_operator import ExternalOperator
 from femxdem_fenicsx.fem.output import writable_folder
@@ -61,7 +61,7 @@ def specimen_for(args: argparse.Namespace, packing: Packing, comm: MPI.Comm) -> 
     kind = element(args.element, args.points)
     mesh = box(comm, args.size, args.mesh, kind)
     points = QuadraturePoints(mesh, kind)
-    law = shared.law_for(args, packing, points.size, comm)
+    law = shared.law_for(args, packing, points, comm)
     medium = medium_for(args, points)
     sigma = ExternalOperator(medium.F, law, points, LARGEST_INCREMENT * args.step, medium.states)
 
@@ -118,8 +118,10 @@ def main(comm: MPI.Comm) -> int:
     writable_folder(comm, args.output)
     specimen = specimen_for(args, shared.packing_for(args, comm, 3), comm)
     stepping = LoadStepping(args.step, looser_limit=args.looser_tolerance)
-    run = load(specimen, args.strain, stepping, args.output / "triaxial", args.quiet)
-    save_results(specimen, run.rows, args.output)
+    saving = shared.saving_of(args, specimen.law)
+    run = load(specimen, args.strain, stepping, args.output / "triaxial", args.quiet, saving)
+    if not run.signal:
+        save_results(specimen, run.rows, args.output)
     seconds = perf_counter() - started
     return tell("Drained triaxial compression", specimen, run, seconds, args.quiet)
 

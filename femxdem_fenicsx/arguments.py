@@ -3,26 +3,40 @@
 from __future__ import annotations
 
 import argparse
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
 
 from . import script
+from .checkpoint import Checkpoint, Saving
+from .collective import together
 from .dem.accuracy import PRESETS, Accuracy, preset
-from .dem.contacts import LinearContact
-from .dem.files import load_packing
+from .dem.contacts import Bonds, ContactLaw, HertzMindlin, LinearContact, RollingResistance
+from .dem.files import load_packing, save_packing
 from .dem.packing import Packing
 from .dem.preparation import random_packing
 from .dem.tangents import OPERATORS, operator
 from .double_stress import one_parameter
-from .fem.collective import together
 from .fem.elements import element, names
 from .fem.problem import Convergence
+from .fem.quadrature_points import QuadraturePoints
 from .homogenised_law import HomogenisedLaw
 
+if TYPE_CHECKING:
+    from .distribution import DistributedLaw
+
 GRADIENTS = ("first", "second")
+
+#: What may change when a run is resumed: where it goes, how far, and how it is solved. The packing
+#: is compared by what is in it.
+FREE = (
+    "output", "quiet", "resume", "checkpoint_every", "checkpoint_fails", "threads", "packing",
+    "strain", "step", "tolerance", "displacement_tolerance", "looser_tolerance", "max_iterations",
+)  # fmt: skip
 
 
 def parser(description: str) -> argparse.ArgumentParser:
@@ -63,11 +77,26 @@ def add_grains(parser: argparse.ArgumentParser, count: int, noun: str) -> argpar
     )
     grains.add_argument("--seed", type=int, default=1)
     grains.add_argument(
+        "--contact-law", default="linear", help=f"elasticity: {', '.join(CONTACT_LAWS)}"
+    )
+    grains.add_argument(
         "--friction", type=float, default=float(np.tan(0.5)), help="of the contacts"
     )
-    grains.add_argument("--modulus", type=float, default=6e8, help="E_c of the contacts, Pa")
-    grains.add_argument("--stiffness-ratio", type=float, default=0.8, help="k_t / k_n")
+    grains.add_argument("--modulus", type=float, default=6e8, help="E_c of linear contacts, Pa")
+    grains.add_argument("--stiffness-ratio", type=float, default=0.8, help="their k_t / k_n")
+    grains.add_argument("--shear-modulus", type=float, default=4e9, help="G for hertz, Pa")
+    grains.add_argument("--poisson-ratio", type=float, default=0.2, help="nu for hertz")
     grains.add_argument("--cohesion", type=float, default=0.0, help="of a contact, N")
+    grains.add_argument(
+        "--rolling-friction", type=float, help="largest rolling moment over r f_n  (default: none)"
+    )
+    grains.add_argument(
+        "--bonds",
+        type=float,
+        nargs=2,
+        metavar=("TENSION", "SHEAR"),
+        help="strength of cement between grains that touch, N  (default: none)",
+    )
     grains.add_argument(
         "--compaction-friction", type=float, default=0.0, help="0: dense, 0.2: loose"
     )
@@ -106,6 +135,13 @@ def add_output(parser: argparse.ArgumentParser, folder: str) -> None:
     output = parser.add_argument_group("output")
     output.add_argument("--output", type=Path, default=Path(folder), help="folder")
     output.add_argument("--quiet", action="store_true", help="no progress, no table")
+    output.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
+    output.add_argument(
+        "--checkpoint-every", type=int, metavar="STEPS", help="(default: every 10 minutes)"
+    )
+    output.add_argument(
+        "--checkpoint-fails", default="go-on", choices=("go-on", "stop"), help="as on a full disk"
+    )
 
 
 def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> None:
@@ -132,6 +168,34 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
         )
     if not args.pressure > 0:
         raise ValueError(f"--pressure {args.pressure}: the lateral pressure must be positive")
+    if args.checkpoint_every is not None and args.checkpoint_every < 1:
+        raise ValueError(f"--checkpoint-every {args.checkpoint_every}: it must be 1 or more")
+
+
+def contact_law_for(args: argparse.Namespace) -> ContactLaw:
+    """The contact law that was asked for; ValueError for values that make none."""
+    rolling, bonds = args.rolling_friction, args.bonds
+    shared = {
+        "friction": args.friction,
+        "cohesion": args.cohesion,
+        "rolling": None if rolling is None else RollingResistance(rolling),
+        "bonds": None if bonds is None else Bonds(*bonds),
+    }
+    if args.contact_law not in CONTACT_LAWS:
+        known = ", ".join(CONTACT_LAWS)
+        raise ValueError(f"unknown contact law '{args.contact_law}'; choose from {known}")
+    return CONTACT_LAWS[args.contact_law](args, shared)
+
+
+#: Elastic laws by name, from arguments and what all laws share.
+CONTACT_LAWS = {
+    "linear": lambda args, shared: LinearContact(
+        modulus=args.modulus, stiffness_ratio=args.stiffness_ratio, **shared
+    ),
+    "hertz": lambda args, shared: HertzMindlin(
+        shear_modulus=args.shear_modulus, poisson_ratio=args.poisson_ratio, **shared
+    ),
+}
 
 
 def _check_gradient(args: argparse.Namespace, dim: int) -> None:
@@ -154,7 +218,9 @@ def packing_for(args: argparse.Namespace, comm: MPI.Comm, dim: int) -> Packing:
     """The packing of disks (dim 2) or spheres (3), read or prepared by rank 0, on all ranks.
 
     Random grains are thrown into a wide periodic box, which is compressed to the pressure of the
-    test. Their contacts are linear with Coulomb friction.
+    test. Where their contact law has bonds, those that touch then are cemented.
+
+    A run that is resumed has the packing of its checkpoint.
 
     Raises ValueError for another dimension, a file that is no such packing, and arguments that
     make no packing.
@@ -162,21 +228,19 @@ def packing_for(args: argparse.Namespace, comm: MPI.Comm, dim: int) -> Packing:
     if dim not in (2, 3):
         raise ValueError(f"grains of {dim} dimensions: they are disks (2) or spheres (3)")
 
+    saved = Checkpoint.last(comm, checkpoint_folder(args)) if args.resume else None
+
     def prepare() -> Packing | None:
         if comm.rank > 0:
             return None
+        if saved is not None:
+            return _saved_packing(saved, args.packing, dim)
         if args.packing is not None:
             return load_packing(args.packing, dim)
-        law = LinearContact(
-            modulus=args.modulus,
-            stiffness_ratio=args.stiffness_ratio,
-            friction=args.friction,
-            cohesion=args.cohesion,
-        )
         return random_packing(
             args.grains,
             args.radii,
-            law,
+            contact_law_for(args),
             args.pressure,
             args.compaction_friction,
             args.seed,
@@ -186,6 +250,39 @@ def packing_for(args: argparse.Namespace, comm: MPI.Comm, dim: int) -> Packing:
     return comm.bcast(together(comm, prepare))
 
 
+def checkpoint_folder(args: argparse.Namespace) -> Path:
+    """Where the run keeps its checkpoints."""
+    return args.output / "checkpoint"
+
+
+def _saved_packing(saved: Checkpoint, given: Path | None, dim: int) -> Packing:
+    """The packing of a checkpoint; ValueError where another one is given."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "packing.h5")
+        path.write_bytes(saved.packing)
+        packing = load_packing(path, dim)
+    if given is not None and not packing.equals(load_packing(given, dim)):
+        raise ValueError(f"{saved.path}: the checkpoint of another run: {given} is not its packing")
+    return packing
+
+
+def saving_of(args: argparse.Namespace, law: HomogenisedLaw | DistributedLaw) -> Saving:
+    """How the run is saved and resumed: it must share all arguments but those in `FREE`."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "packing.h5")
+        save_packing(path, law.response.committed.template)
+        packing = path.read_bytes()
+    scene = {name: str(value) for name, value in vars(args).items() if name not in FREE}
+    return Saving(
+        checkpoint_folder(args),
+        scene | {"accuracy": str(accuracy_of(args))},
+        packing,
+        args.checkpoint_every,
+        args.resume,
+        args.checkpoint_fails == "stop",
+    )
+
+
 def accuracy_of(args: argparse.Namespace) -> Accuracy:
     """The preset, with the time step that was asked for."""
     chosen = preset(args.accuracy)
@@ -193,11 +290,19 @@ def accuracy_of(args: argparse.Namespace) -> Accuracy:
 
 
 def law_for(
-    args: argparse.Namespace, packing: Packing, size: int, comm: MPI.Comm
-) -> HomogenisedLaw:
-    """A copy of the packing at each of `size` material points of this rank."""
+    args: argparse.Namespace, packing: Packing, points: QuadraturePoints, comm: MPI.Comm
+) -> HomogenisedLaw | DistributedLaw:
+    """A copy of the packing at each of the points; on several ranks each has a home rank."""
     threads = script.threads_per_rank(comm) if args.threads is None else args.threads
-    return HomogenisedLaw(packing, size, accuracy_of(args), args.operator, threads)
+
+    def make(numbers: np.ndarray) -> HomogenisedLaw:
+        return HomogenisedLaw(packing, len(numbers), accuracy_of(args), args.operator, threads)
+
+    if comm.size == 1:
+        return make(points.index)
+    from .distribution import DistributedLaw
+
+    return DistributedLaw(comm, points.index, make)
 
 
 def convergence_of(args: argparse.Namespace) -> Convergence:

@@ -68,6 +68,8 @@ class _Analytic:
     In 2D they are laws of plane strain.
     """
 
+    FIELDS = ("stress",)
+
     def __init__(self, dim: int, **state: np.ndarray):
         self.dim = dim
         self.size = len(next(iter(state.values())))
@@ -81,13 +83,27 @@ class _Analytic:
     def discard(self) -> None:
         self._trial = self._state
 
+    def state(self) -> dict[str, np.ndarray]:
+        """The committed state: arrays with one row per point."""
+        return self._state
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Take over what `state` gave, of any number of points."""
+        self._state = {name: np.array(state[name]) for name in self._state}
+        self.size = len(next(iter(self._state.values())))
+        self._trial = self._state
+
+    @property
+    def effort(self) -> np.ndarray:
+        """Nothing that could be counted."""
+        return np.zeros(self.size, np.int64)
+
     def save(self, group) -> None:
         for name, values in self._state.items():
             group.create_dataset(name, data=values)
 
     def load(self, group) -> None:
-        self._state = {name: group[name][...] for name in self._state}
-        self._trial = self._state
+        self.restore({name: group[name][...] for name in self._state})
 
 
 def elasticity(young: float, poisson: float, dim: int = 2) -> np.ndarray:
@@ -209,10 +225,11 @@ class Softening(_Analytic):
 
     def __init__(self, size: int, young: float, poisson: float, threshold, dim: int = 2):
         self._stiffness = elasticity(young, poisson, dim)
-        self._threshold = np.broadcast_to(np.asarray(threshold, dtype=float), (size,)).copy()
-        if not (self._threshold > 0).all():
-            raise ValueError(f"softening threshold {self._threshold.min()}: it must be positive")
-        super().__init__(dim, strain=np.zeros((size, dim, dim)), kappa=self._threshold)
+        threshold = np.broadcast_to(np.asarray(threshold, dtype=float), (size,)).copy()
+        if not (threshold > 0).all():
+            raise ValueError(f"softening threshold {threshold.min()}: it must be positive")
+        strain = np.zeros((size, dim, dim))
+        super().__init__(dim, strain=strain, kappa=threshold, threshold=threshold)
 
     @property
     def stress(self) -> np.ndarray:
@@ -225,18 +242,19 @@ class Softening(_Analytic):
         kappa = np.maximum(self._state["kappa"], np.linalg.norm(strain, axis=(1, 2)))
         elastic = np.einsum("ijkl,nkl->nij", self._stiffness, strain)
         intact = self._intact(kappa)
-        self._trial = {"strain": strain, "kappa": kappa}
+        self._trial = self._state | {"strain": strain, "kappa": kappa}
         self._last = (strain, elastic, kappa, intact)
         return intact[:, None, None] * elastic
 
     def _intact(self, kappa: np.ndarray) -> np.ndarray:
-        ratio = kappa / self._threshold
+        ratio = kappa / self._state["threshold"]
         return np.exp(1 - ratio) / ratio
 
     def tangent(self) -> np.ndarray:
         strain, elastic, kappa, intact = self._last
         grows = kappa > self._state["kappa"]
-        slope = np.where(grows, -intact * (1 / self._threshold + 1 / kappa) / kappa, 0.0)
+        threshold = self._state["threshold"]
+        slope = np.where(grows, -intact * (1 / threshold + 1 / kappa) / kappa, 0.0)
         return intact[:, None, None, None, None] * self._stiffness + np.einsum(
             "n,nij,nkl->nijkl", slope, elastic, strain
         )

@@ -35,8 +35,8 @@ def measure(x: np.ndarray, strain: np.ndarray) -> ShearBand:
     """The band in a field of deviatoric strain.
 
     The band is the straight line from one side of the specimen to the other, inclined by 10 to 80
-    degrees, along which the mean strain is largest. Cuts normal to it give the width; half maximum lies between the
-    cut's peak and the strain outside, which is the 20th percentile of the specimen's.
+    degrees, along which the mean strain is largest. Cuts normal to it give the width; half maximum
+    lies between the cut's peak and the strain outside, the 20th percentile of the specimen's.
 
     Args:
         x: points (n, 2), m.

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from dolfinx import fem
 
+from ..collective import Interrupted, together
 from ..law import InadmissibleDeformation, Law
-from .collective import together
 from .point_state import PointState
 from .quadrature_points import QuadraturePoints
 
@@ -23,6 +23,7 @@ class ExternalOperator:
         stress: Cauchy stress, quadrature function (d, d), Pa.
         tangent: C, quadrature function (d*d, d*d), Pa.
         evaluations: how often the law was evaluated.
+        interrupted: asked before each evaluation whether the run is to stop.
 
     Args:
         deformation_gradient: UFL expression (d, d) of the step's displacement.
@@ -56,6 +57,7 @@ class ExternalOperator:
         self.stress.name, self.tangent.name = "stress", "tangent"
         self._rows = points.rows(self.stress)
         self.evaluations = 0
+        self.interrupted: Callable[[], bool] = lambda: False
 
     def _check_law(self, d: int) -> None:
         if (self.law.dim, self.law.size) != (d, self.points.size):
@@ -70,14 +72,18 @@ class ExternalOperator:
         Raises:
             InadmissibleDeformation: on all ranks, where F somewhere is not finite, turns a point
                 inside out or is too far from I, or where the law says so.
+            Interrupted: on all ranks, where the run is to stop.
             Exception: what else the law raises, on all ranks.
         """
         comm = self.points.mesh.comm
         F = self.points.evaluate(self._F, self._shape[1:])
+        together(comm, self._check, F)  # before the law: its ranks may exchange data
         stress = together(comm, self._evaluate, F)
         self._set(self.stress, stress)
 
-    def _evaluate(self, F: np.ndarray) -> np.ndarray:
+    def _check(self, F: np.ndarray) -> None:
+        if self.interrupted():
+            raise Interrupted("the run was asked to stop")
         far = np.abs(F - np.eye(F.shape[1])).max(axis=(1, 2), initial=0.0)
         with np.errstate(invalid="ignore"):
             wrong = np.flatnonzero(~((far <= self._largest) & (np.linalg.det(F) > 0)))
@@ -86,6 +92,8 @@ class ExternalOperator:
                 f"deformation gradient {F[wrong[0]].tolist()} of one step at quadrature point "
                 f"{self.points.index[wrong[0]]}: the iterate went astray or the step is too large"
             )
+
+    def _evaluate(self, F: np.ndarray) -> np.ndarray:
         self.evaluations += 1
         stress = np.asarray(self.law.evaluate(F))
         if stress.shape != self._shape:
@@ -105,18 +113,6 @@ class ExternalOperator:
     def discard(self) -> None:
         """Forget the last trial."""
         self.law.discard()
-
-    def save(self, group) -> None:
-        """Write the committed state, of the law and of the form, into an HDF5 group."""
-        self.law.save(group)
-        for state in self.states:
-            state.save(group)
-
-    def load(self, group) -> None:
-        """Read back, bit for bit, what `save` wrote; ValueError where it is of another shape."""
-        for state in self.states:
-            state.load(group)
-        self.law.load(group)
 
     def _set(self, function: fem.Function, values: np.ndarray) -> None:
         """Values at owned points; the ghosts get those of their owners."""
