@@ -24,7 +24,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "demos")]
 
-from femxdem_fenicsx.distribution import loads, place  # noqa: E402
+from femxdem_fenicsx.distribution import better_homes, loads, price_of  # noqa: E402
 
 SCENE = (
     "--mesh", "8", "16", "--element", "Q4", "--quiet",
@@ -195,9 +195,9 @@ def replay() -> list[dict]:
         bound = efficiency(steps[counted], workers, longest(steps[counted], workers))
         row = {"workers": workers, "threads_per_rank": threads}
         for name, moves in (("static", False), ("balanced", True)):
-            times, moved = schedule(steps, load_step, partition, ranks, threads, moves)
+            times, moved = schedule(steps, partition, ranks, threads, moves)
             row[name] = efficiency(steps[counted], workers, times[counted])
-            row["moved_per_load_step"] = moved
+            row["moved_per_evaluation"] = moved
         found.append(row | {"bound": bound})
     return found
 
@@ -211,24 +211,23 @@ def longest(steps: np.ndarray, workers: int) -> np.ndarray:
     return np.maximum(steps.max(1), steps.sum(1) / workers)
 
 
-def schedule(steps, load_step, home, ranks: int, threads: int, moves: bool):
-    """Time of each evaluation, in steps, and packings moved per load step.
+def schedule(steps, home, ranks: int, threads: int, moves: bool):
+    """Time of each evaluation, in steps, and packings moved per evaluation.
 
-    As `DistributedLaw` and `Response` do it: within a rank the threads take the longest of the last
-    evaluation first; between load steps packings move by the steps of the last one.
+    As `DistributedLaw` and `Response` do it, by the steps of the last evaluation: packings move
+    where that pays, and within a rank the threads take the longest ones first.
     """
     times, moved = np.zeros(len(steps)), 0
     last = np.ones(steps.shape[1])
-    for number in np.unique(load_step):
-        mine = np.flatnonzero(load_step == number)
-        for e in mine:
-            times[e] = evaluation(steps[e], last, home, ranks, threads)
-            last = steps[e]
-        if moves:
-            new = place(steps[mine].sum(0), home, ranks)
+    for e in range(len(steps)):
+        new = better_homes(last, home, ranks, threads) if moves else None
+        if new is not None:
             moved += int((new != home).sum())
+            times[e] = price_of(home, new, ranks)
             home = new
-    return times, moved / load_step.max()
+        times[e] += evaluation(steps[e], last, home, ranks, threads)
+        last = steps[e]
+    return times, moved / len(steps)
 
 
 def evaluation(steps, expected, home, ranks: int, threads: int) -> float:
