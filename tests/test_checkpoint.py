@@ -216,6 +216,27 @@ def test_a_newer_format_is_refused_and_what_is_no_checkpoint_too(tmp_path):
             Checkpoint.last(SELF, tmp_path)
 
 
+def test_a_checkpoint_of_the_first_format_is_gone_on_with(tmp_path):
+    """It was written by the biaxial demo; what it then went on to is beside it."""
+    stored = ROOT / "tests" / "data" / "checkpoint_1"
+    shutil.copytree(stored / "step_000003", tmp_path / "checkpoint" / "step_000003")
+    command = [sys.executable, "demos/biaxial.py", "--output", str(tmp_path), "--resume", "--quiet"]
+    scene = ["--grains", "60", "--seed", "2", "--mesh", "1", "1", "--accuracy", "fast"]
+    run = subprocess.run(
+        [*command, *scene, "--strain", "0.005"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert run.returncode == 0, run.stderr
+    found, expected = (
+        np.genfromtxt(folder / "history.csv", delimiter=",", names=True)
+        for folder in (tmp_path, stored)
+    )
+    assert len(found) == len(expected) == 5
+    for name in set(found.dtype.names) - {"seconds"}:
+        assert np.array_equal(found[name][:3], expected[name][:3]), name
+    for name in ("stress_ratio", "volumetric_strain", "void_ratio"):
+        np.testing.assert_allclose(found[name][3:], expected[name][3:], rtol=1e-6, err_msg=name)
+
+
 def test_checksums_are_those_of_sha256sum(tmp_path):
     write(tmp_path, 3)
     command = ["sha256sum", "--check", "--strict", SUMS]

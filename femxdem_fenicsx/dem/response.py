@@ -97,7 +97,7 @@ class Response:
         self.committed_outcome.overlap[:] = overlap
         self.committed_outcome.at_rest[:] = True
         self._first_overlap = overlap
-        self._cost = np.zeros(size)
+        self.cost = np.zeros(size, np.int64)
         self.discard()
 
     @property
@@ -114,7 +114,7 @@ class Response:
         """
         self.outcome = self._run(F, np.arange(self.size), self.trial.state)
         self.latest = self.trial
-        self._cost = self.outcome.loading_steps + self.outcome.hold_steps
+        self.cost = self.outcome.loading_steps + self.outcome.hold_steps
         return self.outcome
 
     def probe(self, F: np.ndarray, packings: np.ndarray) -> Outcome:
@@ -147,15 +147,14 @@ class Response:
             steps[b] /= np.sqrt(max(stiffening, 1.0))
         return steps
 
-    def restore(self, state: dict[str, np.ndarray], outcome: Outcome) -> None:
-        """Take over committed arrays of `PackingBatch.STATE`, and what was measured at them.
+    def restore(self, state: dict[str, np.ndarray], outcome: Outcome, cost: np.ndarray) -> None:
+        """Take over committed arrays of `PackingBatch.STATE`, what was measured, and the cost.
 
         Of any number of packings, which have the template's grains. The trial is forgotten.
         """
-        self.committed = replace(self.committed, **state)
-        self.trial = self.committed.copy()
-        self.committed_outcome = outcome
-        self._cost = outcome.loading_steps + outcome.hold_steps
+        room = {name: np.empty_like(array) for name, array in state.items()}
+        self.committed, self.trial = (replace(self.committed, **s) for s in (state, room))
+        self.committed_outcome, self.cost = outcome, cost
         self.discard()
 
     def _run(self, F, packings, new) -> Outcome:
@@ -166,7 +165,7 @@ class Response:
         outcome = Outcome.of(len(packings), self.committed.template.dim)
         places = np.zeros_like(packings) if new is None else packings
         status = np.full(len(packings), NO_ROOM)
-        waiting = np.argsort(-self._cost[packings], kind="stable")  # expensive ones first
+        waiting = np.argsort(-self.cost[packings], kind="stable")  # expensive ones first
         while len(waiting):
             tickets = np.zeros(1, np.int64)
 
