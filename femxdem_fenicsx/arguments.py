@@ -6,12 +6,10 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 from mpi4py import MPI
 
-from . import script
+from . import contact_arguments, script
 from .dem.accuracy import PRESETS, Accuracy, preset
-from .dem.contacts import LinearContact
 from .dem.files import load_packing
 from .dem.packing import Packing
 from .dem.preparation import random_packing
@@ -52,12 +50,7 @@ def add_grains(parser: argparse.ArgumentParser, count: int, noun: str) -> argpar
         "--radii", type=float, nargs=2, default=(3e-3, 7e-3), metavar=("MIN", "MAX"), help="m"
     )
     grains.add_argument("--seed", type=int, default=1)
-    grains.add_argument(
-        "--friction", type=float, default=float(np.tan(0.5)), help="of the contacts"
-    )
-    grains.add_argument("--modulus", type=float, default=6e8, help="E_c of the contacts, Pa")
-    grains.add_argument("--stiffness-ratio", type=float, default=0.8, help="k_t / k_n")
-    grains.add_argument("--cohesion", type=float, default=0.0, help="of a contact, N")
+    contact_arguments.add_contact_law(grains)
     grains.add_argument(
         "--compaction-friction", type=float, default=0.0, help="0: dense, 0.2: loose"
     )
@@ -140,12 +133,7 @@ def packing_for(args: argparse.Namespace, comm: MPI.Comm, dim: int) -> Packing:
             return None
         if args.packing is not None:
             return load_packing(args.packing, dim)
-        law = LinearContact(
-            modulus=args.modulus,
-            stiffness_ratio=args.stiffness_ratio,
-            friction=args.friction,
-            cohesion=args.cohesion,
-        )
+        law = contact_arguments.contact_law(args)
         return random_packing(
             args.grains,
             args.radii,
