@@ -34,7 +34,8 @@ def draw_contact_numbers(axes: Axes, packings: Sequence[tuple[str, Packing]]) ->
     axes.set_ylabel("grains (%)")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     if len(packings) > 1:
-        axes.legend()
+        axes.legend(fontsize="small", handlelength=0.8, loc="upper right", borderaxespad=0)
+        axes.margins(y=0.25)
 
 
 @matplotlib.rc_context(STYLE)

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .dem.accuracy import PRESETS, Accuracy
-from .dem.element_tests import isotropic_compression
+from .dem.element_tests import LIQUEFIED, isotropic_compression
 from .dem.homogenisation import fabric_anisotropy
 from .dem.mixed_control import ElementState, Servo
 from .dem.packing import Packing
 from .dem.preparation import NotReached
-from .dem.strength import Strength, deviatoric_strain, friction_angle, strength
+from .dem.strength import SECANT, Strength, deviatoric_strain, friction_angle, strength
 from .homogenised_law import HomogenisedLaw
 
 AXES = "xyz"
@@ -65,7 +65,11 @@ class Specimen:
     @property
     def strength(self) -> Strength:
         """Summary of the test; ValueError without states."""
-        return strength(self.states, self.initial, self.initial_void_ratio)
+        return self.strength_with(SECANT)
+
+    def strength_with(self, secant: float) -> Strength:
+        """The same with the modulus up to another axial strain."""
+        return strength(self.states, self.initial, self.initial_void_ratio, secant)
 
     @property
     def now(self) -> Packing:
@@ -138,3 +142,40 @@ def finish(made: Specimen, test: Iterable[ElementState], progress=lambda state: 
     except NotReached as error:
         return str(error)
     return None
+
+
+def summary(made: Specimen) -> dict[str, float | bool | None]:
+    """What the test tells, by name: all that any test may tell; angles in degrees.
+
+    bulk_modulus_Pa: pressure over volumetric strain of the first increment. oedometric_modulus_Pa:
+    axial stress over axial strain up to 0.1 %. lateral_ratio: lateral over axial stress increment
+    at the largest axial stress. The others: see `dem.strength.Strength`.
+    """
+    told, rows = made.strength, made.rows
+    axis = "xyz"[made.packing.dim - 1]
+    plane = "xy" if made.packing.dim == 2 else "xz"
+    axial = np.array([row[f"stress_{2 * axis}_Pa"] for row in rows])
+    lateral = np.array([row["stress_xx_Pa"] for row in rows])
+    strain = np.array([row[f"strain_{2 * axis}"] for row in rows])
+    pressure = np.array([row["pressure_Pa"] for row in rows])
+    top, k = int(axial.argmax()), max(int(np.argmax(strain > 0.999 * SECANT)), 1)
+    return {
+        "peak_friction_angle": told.peak_friction_angle,
+        "strain_at_peak": told.strain_at_peak,
+        "dilatancy_angle": told.dilatancy_angle,
+        "critical_friction_angle": told.critical_friction_angle,
+        "critical_void_ratio": told.critical_void_ratio,
+        "critical_steady": told.critical_steady,
+        "young_modulus_Pa": told.young_modulus,
+        "poisson_ratio": told.poisson_ratio,
+        "bulk_modulus_Pa": _ratio(pressure[1] - pressure[0], -rows[1]["volumetric_strain"]),
+        "oedometric_modulus_Pa": _ratio(axial[k] - axial[0], strain[k]),
+        "lateral_ratio": _ratio(lateral[top] - lateral[0], axial[top] - axial[0]),
+        "largest_shear_strain": max(abs(row[f"gamma_{plane}"]) for row in rows),
+        "least_pressure_Pa": float(pressure.min()),
+        "liquefied": bool(pressure[-1] < LIQUEFIED * pressure[0]),
+    }
+
+
+def _ratio(above: float, below: float) -> float | None:
+    return float(above / below) if abs(below) > 1e-12 else None

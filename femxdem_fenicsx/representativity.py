@@ -17,7 +17,7 @@ from time import perf_counter
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter, ScalarFormatter
+from matplotlib.ticker import NullLocator
 
 from .dem.element_tests import drained_compression
 from .dem.files import load_packing, save_packing
@@ -39,6 +39,10 @@ MEASURES = (
     ("critical_friction_angle", "critical friction angle (°)", 1.0),
     ("critical_void_ratio", "critical void ratio", 1.0),
 )
+#: Digits behind the point in the table, where it is not one.
+DIGITS = {
+    "void_ratio": 3, "critical_void_ratio": 3, "fabric_anisotropy": 3, "coordination_number": 2,
+}  # fmt: skip
 COLUMNS = (
     "dim", "grains", "seed", *(name for name, _, _ in MEASURES), "dilatancy_angle",
     "poisson_ratio", "strain_reached", "loose_increments", "seconds",
@@ -200,23 +204,22 @@ def _values(rows: Sequence[dict], name: str) -> np.ndarray:
     return np.array([row[name] for row in rows if row[name] is not None], float)
 
 
-def table(rows: Sequence[dict]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Header and cells of mean ± standard deviation over the seeds."""
-    names = ("grains", "tests", *(label.replace("$F_a$", "F_a") for _, label, _ in MEASURES))
-    cells = []
-    for (dim, grains), group in grouped(rows).items():
-        line = [f"{grains} {'disks' if dim == 2 else 'spheres'}", str(len(group))]
-        for name, _, factor in MEASURES:
+def table(rows: Sequence[dict], dim: int) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Header and cells of mean±standard deviation over the seeds, one column per size."""
+    groups = {n: group for (d, n), group in grouped(rows).items() if d == dim}
+    cells = [("packings", *(str(len(group)) for group in groups.values()))]
+    for name, label, factor in MEASURES:
+        line = [label.replace("$F_a$", "F_a")]
+        for group in groups.values():
             values = factor * _values(group, name)
-            digits = 3 if name in ("void_ratio", "critical_void_ratio", "fabric_anisotropy") else 1
-            digits = 2 if name == "coordination_number" else digits
+            digits = DIGITS.get(name, 1)
             line.append(
-                f"{values.mean():.{digits}f} ± {values.std(ddof=1):.{digits}f}"
+                f"{values.mean():.{digits}f}±{values.std(ddof=1):.{digits}f}"
                 if len(values) > 1
                 else "–"
             )
         cells.append(tuple(line))
-    return names, cells
+    return ("grains", *map(str, groups)), cells
 
 
 def summary(rows: Sequence[dict]) -> tuple[tuple[str, ...], list[dict]]:
@@ -233,36 +236,36 @@ def summary(rows: Sequence[dict]) -> tuple[tuple[str, ...], list[dict]]:
 
 
 def draw(study: Study, folder: Path, rows: Sequence[dict]) -> None:
-    """`scatter.png`: all measures over the number of grains; `structure.png`: Guo-Zhao fig. 3."""
-    _draw_scatter(folder / "scatter.png", rows)
+    """`disks.png`, `spheres.png`: all measures over the number of grains; `structure.png`:
+    contact numbers and roses of one packing of each size (Guo-Zhao fig. 3)."""
+    for dim, kind in ((2, "disks"), (3, "spheres")):
+        if any(row["dim"] == dim for row in rows):
+            _draw_scatter(folder / f"{kind}.png", [r for r in rows if r["dim"] == dim], kind)
     if study.disks:
         _draw_structure(study, folder)
 
 
 @matplotlib.rc_context(STYLE)
-def _draw_scatter(path: Path, rows: Sequence[dict]) -> None:
-    figure = Figure((7.0, 3.8), layout="constrained")
-    panels = figure.subplots(2, 4).ravel()
+def _draw_scatter(path: Path, rows: Sequence[dict], kind: str) -> None:
+    """A point per packing, the mean, and a bar of one standard deviation to both sides."""
+    figure = Figure((7.0, 3.6), layout="constrained")
+    panels = figure.subplots(2, 4, sharex=True).ravel()
     for axes, (name, label, factor) in zip(panels, MEASURES, strict=True):
-        for k, (dim, kind) in enumerate(((2, "disks"), (3, "spheres"))):
-            groups = [(n, g) for (d, n), g in grouped(rows).items() if d == dim]
-            sizes, means = [], []
-            for n, group in groups:
-                values = factor * _values(group, name)
-                axes.plot(np.full(len(values), n), values, ".", ms=3, color=COLOURS[k], alpha=0.5)
-                if len(values):
-                    sizes.append(n)
-                    means.append(values.mean())
-            axes.plot(sizes, means, "-", color=COLOURS[k], lw=1.0, label=kind)
+        for (_, size), group in grouped(rows).items():
+            values = factor * _values(group, name)
+            axes.plot(np.full(len(values), size), values, ".", ms=3.5, color="0.6", mew=0)
+            if len(values) > 1:
+                axes.errorbar(
+                    size, values.mean(), values.std(ddof=1), fmt="_", ms=9, color=COLOURS[0],
+                    lw=1.2, capsize=2,
+                )  # fmt: skip
         axes.set(xscale="log", ylabel=label)
         sizes = sorted({int(row["grains"]) for row in rows})
-        axes.set_xticks([n for n in sizes if n in (100, 200, 400, 1000, 1600)] or sizes)
-        axes.xaxis.set_major_formatter(ScalarFormatter())
-        axes.xaxis.set_minor_formatter(NullFormatter())
-        axes.tick_params(axis="x", labelsize="x-small")
-    panels[0].legend(fontsize="small")
+        axes.set_xticks(sizes, [str(size) for size in sizes])
+        axes.set_xlim(sizes[0] / 1.4, sizes[-1] * 1.4)
+        axes.xaxis.set_minor_locator(NullLocator())
     for axes in panels[4:]:
-        axes.set_xlabel("grains")
+        axes.set_xlabel(kind)
     save(figure, path)
 
 

@@ -74,7 +74,7 @@ def print_table(title: str, rows: Mapping[str, str], quiet: bool = False) -> Non
     table = Table(title=title, show_header=False, title_justify="left")
     for name, value in rows.items():
         table.add_row(name, value)
-    Console(quiet=quiet, highlight=False).print(table)
+    _show(table, quiet)
 
 
 def print_columns(
@@ -86,4 +86,12 @@ def print_columns(
         table.add_column(name, justify="right" if k else "left")
     for row in rows:
         table.add_row(*row)
-    Console(quiet=quiet, highlight=False).print(table)
+    _show(table, quiet)
+
+
+def _show(table: Table, quiet: bool) -> None:
+    """As wide as it needs, where no terminal sets a limit."""
+    console = Console(quiet=quiet, highlight=False)
+    if not console.is_terminal:
+        console.width = 160
+    console.print(table)

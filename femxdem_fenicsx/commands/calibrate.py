@@ -23,7 +23,8 @@ def add(commands) -> None:
         "calibrate", help="E_c and mu for a modulus and a friction angle", description=run.__doc__
     )
     target = parser.add_argument_group("target")
-    target.add_argument("--young-modulus", type=float, required=True, help="Pa, secant at 0.1 %%")
+    target.add_argument("--young-modulus", type=float, required=True, help="Pa, of the secant")
+    target.add_argument("--secant", type=float, default=1e-3, help="axial strain of that secant")
     target.add_argument("--friction-angle", type=float, required=True, help="degrees")
     target.add_argument("--angle", choices=("peak", "critical"), default="peak")
     grains = parser.add_argument_group("packings")
@@ -35,7 +36,7 @@ def add(commands) -> None:
     parser.add_argument(
         "--strain", type=float, help="axial, of the tests  (default: 0.06, critical: 0.3)"
     )
-    parser.add_argument("--iterations", type=int, default=8, help="at most, of three answers each")
+    parser.add_argument("--answers", type=int, default=15, help="to compute at most")
     parser.add_argument("--output", type=Path, default=Path("results/calibration"))
     common.add_threads(parser)
     common.add_quiet(parser)
@@ -45,24 +46,23 @@ def add(commands) -> None:
 def run(args: argparse.Namespace) -> int:
     """Contact modulus E_c and friction mu for which packings have the modulus and the angle.
 
-    The values found are tried once more on packings prepared with them from the beginning.
+    The values found are tried once more on packings of other seeds, as many again.
     """
-    target = Target(args.young_modulus, args.friction_angle, args.angle == "peak")
+    target = Target(args.young_modulus, args.friction_angle, args.angle == "peak", args.secant)
     strain = args.strain or (0.06 if target.peak else 0.3)
     if not 0.002 <= strain < 0.5:
         raise ValueError(f"--strain must be in [0.002, 0.5[, got {strain}")
     if args.seeds < 1:
         raise ValueError(f"--seeds must be 1 or more, got {args.seeds}")
-    law, threads = contact_arguments.contact_law(args), common.threads_of(args)
     preparation = {
         "grains": args.grains, "radii": common.sizes_of(args), "dim": args.dim,
         "compaction_friction": common.compaction_friction_of(args),
     }  # fmt: skip
-    seeds = range(1, args.seeds + 1)
-    packings = calibration.prepare(seeds, args.pressure, threads, law=law, **preparation)
-    laboratory = Laboratory(packings, args.pressure, strain, target, threads)
-    most = 3 * args.iterations
-    with terminal.LoadProgress(most, args.quiet, "calibrating") as progress:
+    laboratory = Laboratory(
+        target, contact_arguments.contact_law(args), args.pressure, strain,
+        tuple(range(1, args.seeds + 1)), common.threads_of(args), preparation,
+    )  # fmt: skip
+    with terminal.LoadProgress(args.answers, args.quiet, "calibrating") as progress:
         done = 0
 
         def show(answer: Answer) -> None:
@@ -71,13 +71,12 @@ def run(args: argparse.Namespace) -> int:
             progress.show(done, "  ".join(_cells(answer)))
 
         found = calibration.calibrate(
-            laboratory.answer, target, (args.modulus, args.friction), most=args.iterations,
+            laboratory.answer, target, (args.modulus, args.friction), most=args.answers,
             progress=show,
         )  # fmt: skip
     best = found.best
-    law = replace(law, modulus=best.modulus, friction=best.friction)
-    anew = calibration.prepare(seeds, args.pressure, threads, law=law, **preparation)
-    tests = [calibration.tested(packing, args.pressure, strain) for packing in anew]
+    others = replace(laboratory, seeds=tuple(range(args.seeds + 1, 2 * args.seeds + 1)))
+    tests = others.test(best.modulus, best.friction)
     checked = calibration.answer_of(tests, best.modulus, best.friction, target)
     _write(args, found, checked, tests)
     return 0
@@ -96,7 +95,7 @@ def _write(args, found: Calibration, checked: Answer, tests: list[Specimen]) -> 
     """Table, picture and files."""
     rows = [(str(k), *_cells(answer)) for k, answer in enumerate(found.answers, 1)]
     rows.append(("found", *_cells(found.best)))
-    rows.append(("prepared anew", *_cells(checked)))
+    rows.append(("other seeds", *_cells(checked)))
     target = found.target
     rows.append((
         "target", "", "", f"{1e-6 * target.young_modulus:.2f} MPa",
@@ -109,7 +108,7 @@ def _write(args, found: Calibration, checked: Answer, tests: list[Specimen]) -> 
         {
             "target": asdict(target),
             "found": asdict(found.best),
-            "prepared_anew": asdict(checked),
+            "other_seeds": asdict(checked),
             "answers": [asdict(answer) for answer in found.answers],
         },
     )
@@ -131,7 +130,7 @@ def draw(path: Path, found: Calibration, checked: Answer, tests: list[Specimen])
     style = {"fmt": "o", "ms": 3, "color": "0.55", "lw": 0.8}
     modulus.errorbar(E_c, young, young_error, **style)
     angle.errorbar(mu, phi, phi_error, **style)
-    style = {"fmt": "o", "ms": 5, "color": COLOURS[0], "lw": 1.0, "label": "prepared anew"}
+    style = {"fmt": "o", "ms": 5, "color": COLOURS[0], "lw": 1.0, "label": "other seeds"}
     modulus.errorbar(
         1e-6 * checked.modulus, 1e-6 * checked.young_modulus, 1e-6 * checked.young_modulus_error,
         **style,

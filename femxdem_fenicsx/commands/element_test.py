@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -31,16 +31,17 @@ class Test:
     """One test of the list.
 
     help: in a line. dim: of the packing, None for both. options: puts its own into a parser. begin:
-    the states, from (specimen, pressure, arguments). progress: (how far, at the end of it).
-    picture: draws its rows.
+    the states, from (specimen, arguments). load: how far it is, 1 at the end. picture: draws
+    the rows. tells: what the summary says of it, see `summary`.
     """
 
     help: str
     dim: int | None
     options: Callable[[argparse.ArgumentParser], None]
     begin: Callable[[laboratory.Specimen, argparse.Namespace], Iterator[ElementState]]
-    load: Callable[[ElementState, argparse.Namespace], float]
+    load: Callable[[laboratory.Specimen, argparse.Namespace], float]
     picture: Callable[[Path, list], None]
+    tells: tuple[str, ...]
 
 
 def _strain(default: float, what: str = "axial strain") -> Callable:
@@ -51,8 +52,8 @@ def _strain(default: float, what: str = "axial strain") -> Callable:
     return options
 
 
-def _axial(state: ElementState, args: argparse.Namespace) -> float:
-    return state.axial_strain / args.strain
+def _axial(made: laboratory.Specimen, args: argparse.Namespace) -> float:
+    return made.rows[-1]["strain_yy" if made.packing.dim == 2 else "strain_zz"] / args.strain
 
 
 def _drained(specimen, args):
@@ -145,55 +146,76 @@ def _path(specimen, args):
     return tests.along(specimen.servo, read_path(args.path, specimen.packing.dim))
 
 
-def _no_measure(state, args) -> float:
-    return 0.0
+def _increments(made: laboratory.Specimen, args: argparse.Namespace) -> float:
+    if args.name == "isotropic":
+        return len(made.states) / (args.increments * (2 if args.unload else 1))
+    total = sum(leg.increments for leg in read_path(args.path, made.packing.dim))
+    return len(made.states) / total
 
+
+def _turns(made: laboratory.Specimen, args: argparse.Namespace) -> float:
+    gamma = [state.shear_strain for state in made.states]
+    return 0.5 * np.count_nonzero(np.diff(np.sign(np.diff(gamma)))) / args.cycles
+
+
+SHEARED = (
+    "peak_friction_angle", "strain_at_peak", "dilatancy_angle", "critical_friction_angle",
+    "critical_void_ratio", "critical_steady",
+)  # fmt: skip
+DRAINED = (*SHEARED, "young_modulus_Pa", "poisson_ratio")
+UNDRAINED = (
+    "peak_friction_angle",
+    "strain_at_peak",
+    "critical_friction_angle",
+    "least_pressure_Pa",
+)
+CYCLIC = ("peak_friction_angle", "largest_shear_strain", "least_pressure_Pa", "liquefied")
 
 TESTS: dict[str, Test] = {
     "isotropic": Test(
-        "isotropic compression", None, _isotropic_options, _isotropic, _no_measure,
-        lab_plots.save_consolidation,
+        "isotropic compression", None, _isotropic_options, _isotropic, _increments,
+        lab_plots.save_consolidation, ("bulk_modulus_Pa",),
     ),
     "oedometric": Test(
         "axial compression without lateral strain", None, _oedometric_options, _oedometric,
-        _axial, lab_plots.save_consolidation,
+        _axial, lab_plots.save_consolidation, ("oedometric_modulus_Pa", "lateral_ratio"),
     ),
     "biaxial": Test(
         "drained biaxial compression of disks", 2, _drained_options, _drained, _axial,
-        lab_plots.save_compression_test,
+        lab_plots.save_compression_test, DRAINED,
     ),
     "triaxial": Test(
         "drained triaxial compression of spheres", 3, _drained_options, _drained, _axial,
-        lab_plots.save_compression_test,
+        lab_plots.save_compression_test, DRAINED,
     ),
     "undrained": Test(
         "axial compression at constant volume", None, _strain(0.1),
         lambda specimen, args: tests.constant_volume_compression(
             specimen.servo, args.strain, args.step, FINE
         ),
-        _axial, lab_plots.save_compression_test,
+        _axial, lab_plots.save_compression_test, UNDRAINED,
     ),
     "simple-shear": Test(
         "monotonic simple shear", None, _shear_options,
         lambda specimen, args: tests.simple_shear(
             specimen.servo, args.strain, args.step, args.normal_stress, FINE
         ),
-        lambda state, args: state.shear_strain / args.strain, lab_plots.save_shear_test,
+        lambda made, args: abs(made.servo.shear) / args.strain, lab_plots.save_shear_test, SHEARED,
     ),
     "cyclic-shear": Test(
         "cyclic simple shear, strain or stress controlled", None, _cyclic_options, _cyclic,
-        _no_measure, lab_plots.save_shear_test,
+        _turns, lab_plots.save_shear_test, CYCLIC,
     ),
     "true-triaxial": Test(
         "spheres under three different stresses, mean pressure kept", 3, _true_triaxial_options,
         lambda specimen, args: tests.true_triaxial(
             specimen.servo, args.strain, args.b, args.step, FINE
         ),
-        _axial, lab_plots.save_compression_test,
+        _axial, lab_plots.save_compression_test, SHEARED,
     ),
     "path": Test(
-        "your own path from a CSV file", None, _path_options, _path, _no_measure,
-        lab_plots.save_compression_test,
+        "your own path from a CSV file", None, _path_options, _path, _increments,
+        lab_plots.save_compression_test, ("peak_friction_angle",),
     ),
 }  # fmt: skip
 
@@ -251,10 +273,9 @@ def run(args: argparse.Namespace) -> int:
         def show(state: ElementState) -> None:
             row = made.rows[-1]
             progress.show(
-                max(test.load(state, args), 1e-9),
-                f"{args.name} {len(made.states)}: friction angle"
-                f" {row['friction_angle_deg']:.1f} degrees, pressure"
-                f" {1e-3 * row['pressure_Pa']:.1f} kPa, void ratio {row['void_ratio']:.4f}",
+                min(max(test.load(made, args), 1e-9), 1.0),
+                f"{len(made.states)}: phi {row['friction_angle_deg']:.1f} degrees  p"
+                f" {1e-3 * row['pressure_Pa']:.1f} kPa  e {row['void_ratio']:.4f}",
             )
 
         early = laboratory.finish(made, test.begin(made, args), show)
@@ -298,48 +319,44 @@ def _write(args, test: Test, made: laboratory.Specimen, early: str | None) -> in
     writing.write_csv(folder / f"{name}.csv", tuple(made.rows[0]), made.rows)
     test.picture(folder / f"{name}.png", made.rows)
     save_packing(folder / f"{name}-end.h5", made.now)
-    result = {
-        **asdict(made.strength),
+    told = {key: value for key, value in laboratory.summary(made).items() if key in test.tells}
+    last = made.rows[-1]
+    ran = {
         "increments": len(made.states),
         "increments_within_looser_tolerance": made.servo.loose,
         "largest_stress_error_Pa": max(state.error for state in made.states),
+        "void_ratios": [made.rows[0]["void_ratio"], last["void_ratio"]],
+        "mean_pressures_Pa": [made.rows[0]["pressure_Pa"], last["pressure_Pa"]],
         "ended_early": early,
     }
-    writing.write_json(folder / f"{name}.json", result)
-    terminal.print_table(f"{name}: {folder / name}.*", summary(made), args.quiet)
+    writing.write_json(folder / f"{name}.json", told | ran)
+    terminal.print_table(f"{name}: {folder / name}.*", _lines(told, ran), args.quiet)
     if early is not None:
         print(f"the test ended early: {early}")
         return terminal.LOST_CONTROLLABILITY
     return 0
 
 
-def summary(made: laboratory.Specimen) -> dict[str, str]:
+def _lines(told: dict, ran: dict) -> dict[str, str]:
     """The table at the end."""
-    told, last = made.strength, made.rows[-1]
-
-    def angle(value: float | None) -> str:
-        return "–" if value is None else f"{value:.1f} degrees"
-
-    steady = "" if told.critical_steady else "  (volume not steady yet)"
-    rows = {
-        "peak friction angle": f"{angle(told.peak_friction_angle)} at deviatoric strain"
-        f" {told.strain_at_peak:.2%}",
-        "dilatancy angle at peak": angle(told.dilatancy_angle),
-        "critical friction angle": angle(told.critical_friction_angle) + steady,
-        "critical void ratio": "–"
-        if told.critical_void_ratio is None
-        else f"{told.critical_void_ratio:.4f}{steady}",
-        "void ratio, first and last": f"{made.rows[0]['void_ratio']:.4f}, {last['void_ratio']:.4f}",
-        "mean pressure, first and last": f"{1e-3 * made.rows[0]['pressure_Pa']:.1f},"
-        f" {1e-3 * last['pressure_Pa']:.1f} kPa",
-        "increments": f"{len(made.states)}, {made.servo.loose} of them within the looser tolerance;"
-        f" largest error {max(s.error for s in made.states):.3g} Pa",
+    rows = {}
+    for key, value in told.items():
+        name, unit = key.removesuffix("_Pa").replace("_", " "), "MPa" if key.endswith("_Pa") else ""
+        if "angle" in key:
+            unit = "degrees"
+        if value is None:
+            rows[name] = "–"
+        elif isinstance(value, bool):
+            rows[name] = "yes" if value else "no"
+        else:
+            rows[name] = f"{1e-6 * value if unit == 'MPa' else value:.4g} {unit}".rstrip()
+    pressures, loose = ran["mean_pressures_Pa"], ran["increments_within_looser_tolerance"]
+    return rows | {
+        "void ratio, first and last": "{:.4f}, {:.4f}".format(*ran["void_ratios"]),
+        "mean pressure": f"{1e-3 * pressures[0]:.1f} to {1e-3 * pressures[1]:.1f} kPa",
+        "increments": f"{ran['increments']}, {loose} of them within the looser tolerance",
+        "largest stress error": f"{ran['largest_stress_error_Pa']:.3g} Pa",
     }
-    if told.young_modulus is not None:
-        rows["Young's modulus, Poisson's ratio"] = (
-            f"{1e-6 * told.young_modulus:.1f} MPa, {told.poisson_ratio:.3f} (secant at 0.1 %)"
-        )
-    return rows
 
 
 def run_probes(args: argparse.Namespace) -> int:

@@ -284,7 +284,10 @@ def study(args: argparse.Namespace) -> int:
             lambda done, row: progress.show(done, representativity.describe(row)),
         )  # fmt: skip
     representativity.draw(values, args.output, rows)
-    names, table = representativity.table(rows)
-    terminal.print_columns("Mean ± standard deviation over the seeds", names, table, args.quiet)
+    for dim, kind in ((2, "disks"), (3, "spheres")):
+        names, table = representativity.table(rows, dim)
+        if len(names) > 1:
+            title = f"{kind.capitalize()}, mean ± standard deviation over the seeds"
+            terminal.print_columns(title, names, table, args.quiet)
     writing.write_csv(args.output / "summary.csv", *representativity.summary(rows))
     return 0

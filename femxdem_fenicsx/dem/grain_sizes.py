@@ -16,7 +16,7 @@ class GrainSizes(Protocol):
         ...
 
     def draw(self, grains: int, dim: int, rng: np.random.Generator) -> np.ndarray:
-        """Radii (grains,), m, in random order."""
+        """Radii (grains,), m; grains get random places, so that their order does not matter."""
         ...
 
 
@@ -107,7 +107,7 @@ class SieveCurve:
 
 @dataclass(frozen=True)
 class GivenRadii:
-    """These radii, m, in random order: packings with the same grains at other places."""
+    """These radii, m, in this order: packings with the same grains at other places."""
 
     radii: tuple[float, ...]
 
@@ -126,7 +126,7 @@ class GivenRadii:
         """Radii (grains,), m; ValueError where there are not as many as asked for."""
         if grains != len(self.radii):
             raise ValueError(f"{len(self.radii)} radii are given for {grains} grains")
-        return rng.permutation(self.radii)
+        return np.array(self.radii)
 
 
 def _check_range(smallest: float, largest: float) -> None:

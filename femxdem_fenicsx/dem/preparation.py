@@ -134,7 +134,8 @@ def packing_of_void_ratio(
                 low = middle
             else:
                 high = middle
-        for friction in np.linspace(max(low - SCATTER, 0.0), high + SCATTER, most - len(tried)):
+        around = np.linspace(max(low - SCATTER, 0.0), high + SCATTER, most - len(tried))
+        for friction in sorted(around, key=lambda friction: abs(friction - 0.5 * (low + high))):
             if close():
                 break
             error(friction)

@@ -80,13 +80,19 @@ def dilatancy_angle(deformation: np.ndarray) -> float:
     return float(np.degrees(np.arcsin(np.clip(-slope / (2.0 - slope), -1.0, 1.0))))
 
 
-def strength(states: Sequence[ElementState], initial: ElementState, void_ratio: float) -> Strength:
+def strength(
+    states: Sequence[ElementState],
+    initial: ElementState,
+    void_ratio: float,
+    secant: float = SECANT,
+) -> Strength:
     """The summary of a test from its states.
 
     Args:
         states: in order, one or more.
         initial: the state before the first one.
         void_ratio: of that state.
+        secant: axial strain up to which modulus and Poisson's ratio are taken.
 
     Raises ValueError without states.
     """
@@ -101,7 +107,7 @@ def strength(states: Sequence[ElementState], initial: ElementState, void_ratio: 
     late = strain >= (1 - CRITICAL) * strain[-1]
     enough = late.sum() > 3 and strain[-1] > 5 * AROUND_PEAK
     drift = dilatancy_angle(F[late]) if enough else 0.0
-    modulus, ratio = _elastic(F, stress)
+    modulus, ratio = _elastic(F, stress, secant)
     return Strength(
         float(angle[top]),
         float(strain[top]),
@@ -114,13 +120,13 @@ def strength(states: Sequence[ElementState], initial: ElementState, void_ratio: 
     )
 
 
-def _elastic(F: np.ndarray, stress: np.ndarray) -> tuple[float | None, float | None]:
+def _elastic(F: np.ndarray, stress: np.ndarray, secant: float) -> tuple[float | None, float | None]:
     """Secant Young's modulus (Pa) and Poisson's ratio of a test with constant lateral stress."""
     axial = 1 - F[:, -1, -1]
     lateral = 1 - np.diagonal(F, axis1=1, axis2=2)[:, :-1].mean(1)
     side = -np.diagonal(stress, axis1=1, axis2=2)[:, :-1].mean(1)
-    k = int(np.argmax(axial > 0.999 * SECANT))
-    constant = abs(side[k] - side[0]) < 0.05 * abs(side[0])
+    k = int(np.argmax(axial > 0.999 * secant))
+    constant = abs(side[k] - side[0]) < 0.02 * abs(side[0])
     if not (constant and axial[k] > 0):
         return None, None
     modulus = (stress[0, -1, -1] - stress[k, -1, -1]) / axial[k]
