@@ -26,7 +26,8 @@ def aside(path: str | Path) -> Iterator[Path]:
     except OSError as error:
         raise OSError(f"{path}: cannot write this file: {error.strerror or error}") from None
     finally:
-        beside.unlink(missing_ok=True)
+        if beside.exists():
+            beside.unlink()
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -40,7 +40,7 @@ def test_scatter_as_of_grains_does_not_lead_astray():
 
 
 def test_an_angle_out_of_reach_is_an_error_that_says_how_far_it_came():
-    with pytest.raises(NotReached, match="at best .* and 3[45].* degrees") as error:
+    with pytest.raises(NotReached, match=r"at best .* and 3[45].* degrees") as error:
         calibrate(material(), Target(3e7, 39.0), START)
     assert "mu = 2" in str(error.value) and "\n" not in str(error.value)
 

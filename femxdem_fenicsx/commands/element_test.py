@@ -266,6 +266,10 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     packing = _packing(args, test.dim)
     if args.name == "path":
+        if args.path.resolve() == (args.output / "path.csv").resolve():
+            raise ValueError(
+                f"{args.path}: the results would overwrite it; choose another --output"
+            )
         read_path(args.path, packing.dim)  # before anything is computed
     made = laboratory.specimen(packing, args.pressure, preset(args.accuracy), args.tolerance)
     with terminal.LoadProgress(1.0, args.quiet, args.name) as progress:

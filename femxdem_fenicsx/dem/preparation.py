@@ -24,8 +24,6 @@ BLOCK = 25
 SOFTER = 1.05
 #: Span of the compaction friction within which void ratio answers to chance, not to friction.
 SCATTER = 0.05
-#: Blocks between two looks at the shape of the box and two reports of progress.
-LOOK = 20
 #: Most blocks before a preparation is given up.
 MOST_BLOCKS = 40000
 
@@ -248,12 +246,11 @@ def compress(
         softness = max(min(softness, calm), 1.0)
         rate = -(mean + softness * deviator) / (2 * stiffness * 2 * BLOCK * dt)
         rate *= min(1.0, fastest / np.abs(rate).max())
-        if block % LOOK == 0:
-            if progress is not None:
-                progress(float(pressure_of(stress)) / pressure)
-            flat = min(box_heights(work.motion.box)) < flattest
-            if flat:
-                break
+        if progress is not None and block % 20 == 0:
+            progress(float(pressure_of(stress)) / pressure)
+        flat = min(box_heights(work.motion.box)) < flattest
+        if flat:
+            break
     reached, wanted = (", ".join(f"{x:.4g}" for x in np.diag(s)) for s in (-stress, target))
     why = "; the box has flattened: the grains cannot bear these stresses" if flat else ""
     raise NotReached(
