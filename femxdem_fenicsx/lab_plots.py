@@ -193,7 +193,7 @@ def save_envelope(
 
     upper_bound: what the same packing would answer if all grains followed the strain (UKO).
     """
-    figure = Figure((6.4, 3.1), layout="constrained")
+    figure = Figure((7.4, 3.0), layout="constrained")
     axes = figure.subplots(1, 2)
     for k, (name, unit, of) in enumerate(
         (("strain", "", "strain"), ("stress", " (kPa)", "stress"))
@@ -210,5 +210,5 @@ def save_envelope(
         axes[k].plot(0, 0, "+", color="0.4")
         axes[k].set(xlabel=f"lateral {name}{unit}", ylabel=f"axial {name}{unit}", aspect="equal")
     if upper_bound is not None:
-        axes[1].legend(fontsize="small")
+        axes[1].legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
     save(figure, path)

@@ -136,13 +136,13 @@ def test_probes_draw_an_envelope(femxdem, sand, tmp_path):  # noqa: F811
 def test_a_test_that_loses_control_ends_with_its_states_and_code_3(femxdem, sand, tmp_path):  # noqa: F811
     result = femxdem(
         "element-test", "path", "--packing", sand, "--output", tmp_path, "--path",
-        written(tmp_path / "much.csv", "stress_xx_Pa,stress_yy_Pa,increments\n1e5,4e5,6\n"),
+        written(tmp_path / "much.csv", "stress_xx_Pa,stress_yy_Pa,increments\n1e5,3.4e5,3\n"),
     )  # fmt: skip
     assert result.code == 3, result
     told = json.loads((tmp_path / "path.json").read_text())
     assert told["ended_early"] in result.out and "stress off by" in told["ended_early"]
     table = rows(tmp_path / "path.csv")
-    assert len(table) == told["increments"] + 1 and table["stress_yy_Pa"][-1] > 2e5
+    assert len(table) == told["increments"] + 1 and table["stress_yy_Pa"][-1] > 1.5e5
 
 
 def written(path, text: str):

@@ -60,7 +60,7 @@ def test_a_target_out_of_reach_keeps_what_was_reached(femxdem, tmp_path):  # noq
     result = femxdem(*SMALL, "--output", path, "--pressure", 1e5, 3e6)
     assert_refused(result, "cannot bear these stresses", str(kept))
     reached = -np.diag(stress(load_packing(kept)))
-    assert reached[1] < 1e6 and not path.exists()
+    assert reached[1] < 2.7e6 and not path.exists()
 
 
 @pytest.mark.parametrize(
