@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import time
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 
@@ -16,28 +18,52 @@ from .terminal import LOST_CONTROLLABILITY, USER_ERROR, USER_ERRORS, HelpFormatt
 
 __all__ = ["LOST_CONTROLLABILITY", "USER_ERROR", "USER_ERRORS", "HelpFormatter"]
 
+#: Exit code of a run that a signal stopped, less the signal's number: the shell's convention.
+SIGNALLED = 128
+#: s; ranks that fail together do so within this time.
+TOGETHER = 10.0
+
 
 def run(main: Callable[[MPI.Comm], int], comm: MPI.Comm = MPI.COMM_WORLD) -> None:
     """Exit with what main(comm) returns; a user's mistake is one line and exit code 2.
 
-    Errors must reach all ranks (see `fem.collective.together`); rank 0 alone prints.
+    Errors must reach all ranks (see `collective.together`); then rank 0 alone prints. One that
+    does not ends all ranks, so that none waits for ever.
     """
+    watch = comm.Dup()
     try:
         code = main(comm)
-    except USER_ERRORS as error:
-        code = _fail(comm, error)
-    except RuntimeError as error:  # raised by `together` where another rank made the mistake
-        if "on rank" not in str(error):
-            raise
-        code = _fail(comm, error)
+    except Exception as error:
+        code = _fail(comm, watch, error)
     sys.stdout.flush()
     sys.exit(code)
 
 
-def _fail(comm: MPI.Comm, error: Exception) -> int:
-    if comm.rank == 0:
-        print(f"error: {error}", file=sys.stderr, flush=True)
-    return USER_ERROR
+def _fail(comm: MPI.Comm, watch: MPI.Comm, error: Exception) -> int:
+    """Say what went wrong, once; the exit code."""
+    everywhere = _all_arrive(watch)
+    elsewhere = isinstance(error, RuntimeError) and str(error).startswith("on rank ")
+    known = elsewhere or isinstance(error, USER_ERRORS)
+    if comm.rank == 0 or not everywhere:
+        if known:
+            where = "" if everywhere else f"on rank {comm.rank}: "
+            print(f"error: {where}{error}", file=sys.stderr, flush=True)
+        else:
+            traceback.print_exception(error)
+            sys.stderr.flush()
+    if not everywhere:
+        comm.Abort(USER_ERROR if known else 1)
+    return USER_ERROR if known else 1
+
+
+def _all_arrive(watch: MPI.Comm) -> bool:
+    """Whether all ranks come here, soon; `watch` is used for nothing else."""
+    arrived, since = watch.Ibarrier(), time.monotonic()
+    while not arrived.Test():
+        if time.monotonic() - since > TOGETHER:
+            return False
+        time.sleep(0.01)
+    return True
 
 
 def parse(parser: argparse.ArgumentParser, comm: MPI.Comm, arguments: Sequence[str] | None = None):

@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
         "compaction_friction": common.compaction_friction_of(args),
     }  # fmt: skip
     laboratory = Laboratory(
-        target, contact_arguments.contact_law(args), args.pressure, strain,
+        target, contact_arguments.contact_law_for(args), args.pressure, strain,
         tuple(range(1, args.seeds + 1)), common.threads_of(args), preparation,
     )  # fmt: skip
     with terminal.LoadProgress(args.answers, args.quiet, "calibrating") as progress:

@@ -105,7 +105,7 @@ def _numbered(path: Path, count: int) -> list[Path]:
 def _packings(args: argparse.Namespace) -> Iterator[Packing]:
     """The packings asked for; what was reached is kept where a target is not."""
     values = {
-        "grains": args.grains, "law": contact_arguments.contact_law(args),
+        "grains": args.grains, "law": contact_arguments.contact_law_for(args),
         "pressure": common.pressure_of(args.pressure, args.dim), "density": args.grain_density,
         "thickness": args.thickness, "dim": args.dim, "tolerance": args.tolerance,
     }  # fmt: skip
@@ -240,7 +240,7 @@ def _read_table(args: argparse.Namespace) -> Packing:
     positions = values[:, :dim] @ np.linalg.inv(box).T
     try:
         return Packing(
-            box, positions, values[:, dim], contact_arguments.contact_law(args),
+            box, positions, values[:, dim], contact_arguments.contact_law_for(args),
             args.grain_density, args.thickness if dim == 2 else 1.0,
         )  # fmt: skip
     except ValueError as error:

@@ -57,19 +57,22 @@ class Material(NamedTuple):
     radius: np.ndarray  # (N,) m
     inverse_mass: np.ndarray  # (N,) 1/kg
     inverse_radius: np.ndarray | None  # (N,) 1/m, of spheres; None says that grains are disks
-    stiffness: float  # constant part of k_n, N/m
-    modulus: float  # E_c, Pa
-    stiffness_ratio: float  # k_t / k_n
+    law: tuple  # the elastic law, with its methods (`contacts.interface`)
     friction: float | None
     cohesion: float | None
     viscosity: float | None
+    rolling: tuple | None
+    bonds: tuple | None
     projected: bool | None  # tangential force by Desrues eq. 10
     implicit: bool | None  # tangential force by Desrues eq. 12
     skin: float  # of the pair list, m
 
 
-def workspace(grains: int, dim: int, capacity: int, viscous: bool) -> Workspace:
-    """Work space for a packing of that many grains and at most `capacity` pairs."""
+def workspace(grains: int, dim: int, capacity: int, viscous: bool, memory: int = 0) -> Workspace:
+    """Work space for a packing of that many grains and at most `capacity` pairs.
+
+    `memory`: how many values a contact remembers beside its tangential force.
+    """
     spins = 1 if dim == 2 else 3
     motion = Motion(
         np.zeros((dim, dim)),
@@ -82,7 +85,7 @@ def workspace(grains: int, dim: int, capacity: int, viscous: bool) -> Workspace:
         np.zeros((spins, capacity)),
         np.zeros((grains, 4 if dim == 2 else 8)),
     )
-    return Workspace(motion, forces, *neighbours.allocate(grains, dim, capacity, viscous))
+    return Workspace(motion, forces, *neighbours.allocate(grains, dim, capacity, viscous, memory))
 
 
 @kernel
@@ -91,8 +94,7 @@ def start(material, work):
     stays_out_of_line()
     count = neighbours.build(
         work.motion.box, work.motion.position, material.radius, material.inverse_mass,
-        material.stiffness, material.modulus, material.viscosity, material.skin,
-        work.pairs, work.grid,
+        material.law, material.viscosity, material.skin, work.pairs, work.grid,
     )  # fmt: skip
     if count < 0:
         return NO_ROOM
@@ -131,14 +133,15 @@ def march(steps, dt, gradient, damping, material, work, inverse_radius):
         if inverse_radius is None:
             disks.pair_forces(
                 pairs.first[-1], box, gradient, dt, x[0], x[1], v[0], v[1], w[0],
-                pairs.i, pairs.j, pairs.shift[0], pairs.shift[1], pairs.reach, pairs.stiffness,
-                pairs.dashpot, pairs.tangential[0], material.stiffness_ratio, material.friction,
-                material.cohesion, material.viscosity,
+                material.radius, pairs.i, pairs.j, pairs.shift[0], pairs.shift[1], pairs.reach,
+                pairs.coefficient, pairs.dashpot, pairs.tangential[0], pairs.memory,
+                material.law, material.friction, material.cohesion, material.viscosity,
+                material.rolling, material.bonds,
                 forces.pair[0], forces.pair[1], forces.pair_moment[0],
             )  # fmt: skip
             disks.sum_forces(
                 pairs.first, pairs.j, forces.pair[0], forces.pair[1], forces.pair_moment[0],
-                material.friction, forces.grain,
+                pairs.memory, material.radius, material.friction, material.rolling, forces.grain,
             )  # fmt: skip
             disks.move(
                 box, dt, damping, material.inverse_mass, forces.grain, material.friction,
@@ -149,17 +152,18 @@ def march(steps, dt, gradient, damping, material, work, inverse_radius):
                 pairs.first[-1], box, gradient, dt,
                 x[0], x[1], x[2], v[0], v[1], v[2], w[0], w[1], w[2], inverse_radius,
                 pairs.i, pairs.j, pairs.shift[0], pairs.shift[1], pairs.shift[2],
-                pairs.reach, pairs.stiffness, pairs.dashpot,
-                pairs.tangential[0], pairs.tangential[1], pairs.tangential[2],
-                pairs.normal[0], pairs.normal[1], pairs.normal[2], material.stiffness_ratio,
-                material.friction, material.cohesion, material.viscosity, material.projected,
-                material.implicit, forces.pair[0], forces.pair[1], forces.pair[2],
+                pairs.reach, pairs.coefficient, pairs.dashpot,
+                pairs.tangential[0], pairs.tangential[1], pairs.tangential[2], pairs.memory,
+                pairs.normal[0], pairs.normal[1], pairs.normal[2], material.law,
+                material.friction, material.cohesion, material.viscosity, material.rolling,
+                material.bonds, material.projected, material.implicit,
+                forces.pair[0], forces.pair[1], forces.pair[2],
                 forces.pair_moment[0], forces.pair_moment[1], forces.pair_moment[2],
             )  # fmt: skip
             spheres.sum_forces(
                 pairs.first, pairs.j, forces.pair[0], forces.pair[1], forces.pair[2],
                 forces.pair_moment[0], forces.pair_moment[1], forces.pair_moment[2],
-                material.friction, forces.grain,
+                pairs.memory, inverse_radius, material.friction, material.rolling, forces.grain,
             )  # fmt: skip
             spheres.move(
                 box, dt, damping, material.inverse_mass, forces.grain, material.friction,

@@ -6,17 +6,27 @@ import numpy as np
 
 from . import neighbours
 from .aliasing import kernel, stays_out_of_line
+from .contacts.interface import (
+    attraction,
+    elastic_force,
+    normal_force,
+    stiffnesses,
+    strained_overlap,
+)
 from .packing import PAIRS_PER_GRAIN, Packing
 from .small import determinant
 
 
 @dataclass(frozen=True)
 class Contacts:
-    """The C touching pairs of a packing.
+    """The C pairs of a packing that touch or are held by a bond.
 
-    pairs (C, 2) i < j; branches (C, d) from i to j, m; normals (C, d); overlaps (C,) m;
-    stiffness (C,) k_n, N/m; normal_force (C,) compression positive, N; tangential on j, N, (C,)
-    along (-n_y, n_x) for disks and (C, 3) for spheres; forces (C, d) on i, N (Desrues: f^{m/n}).
+    pairs (C, 2) i < j; branches (C, d) from i to j, m; normals (C, d); overlaps (C,) m, negative
+    in a stretched bond; stiffness and tangential_stiffness (C,), df_n / du_n and df_t / du_t, N/m,
+    the latter without regard to friction; normal_force (C,) compression positive, N; tangential on
+    j, N, (C,) along (-n_y, n_x) for disks and (C, 3) for spheres; forces (C, d) on i, N (Desrues:
+    f^{m/n}); coefficients (C,) of the contact law (`contacts.interface`); rolling moment on j, N m,
+    like tangential, or None; bonded (C,) 1 or 0, or None.
     """
 
     pairs: np.ndarray
@@ -27,17 +37,21 @@ class Contacts:
     normal_force: np.ndarray
     tangential: np.ndarray
     forces: np.ndarray
+    tangential_stiffness: np.ndarray
+    coefficients: np.ndarray
+    rolling: np.ndarray | None = None
+    bonded: np.ndarray | None = None
 
 
 def touching(packing: Packing) -> Contacts:
     """All contacts of the packing as it stands (no viscous forces)."""
-    material = packing.material
+    material, law = packing.material, packing.law
     pairs, _, grid = neighbours.allocate(
         packing.size, packing.dim, 4 * PAIRS_PER_GRAIN[packing.dim] * packing.size, False
     )
     count = neighbours.build(
         packing.box, packing.positions.T.copy(), packing.radii, material.inverse_mass,
-        material.stiffness, material.modulus, None, 0.0, pairs, grid,
+        material.law, None, material.skin if law.bonds is not None else 0.0, pairs, grid,
     )  # fmt: skip
     if count < 0:
         raise ValueError("touching: far more contacts than grains; the packing is not physical")
@@ -48,28 +62,59 @@ def touching(packing: Packing) -> Contacts:
     lengths = np.linalg.norm(branches, axis=1)
     normals = branches / lengths[:, None]
     overlaps = pairs.reach[:count] - lengths
-    normal = pairs.stiffness[:count] * overlaps - packing.law.cohesion
-    tangential = _tangential_of(packing, i, j)
+    held = {
+        name: _held_by(packing, getattr(packing, name), i, j)
+        for name in ("tangential", "rolling", "bonded")
+    }
+    contact = overlaps > 0 if law.bonds is None else (overlaps > 0) | (held["bonded"] > 0)
+    magnitude, k_n, k_t = elastic_response(
+        material.law, pairs.coefficient[:count], np.where(contact, np.abs(overlaps), 0.0)
+    )
+    normal = np.copysign(magnitude, overlaps) - law.cohesion * (overlaps > 0)
     on_j = normal[:, None] * normals
-    on_j += tangential_vectors(normals, tangential)
+    on_j += tangential_vectors(normals, held["tangential"])
+    everything = {
+        "pairs": np.column_stack([i, j]), "branches": branches, "normals": normals,
+        "overlaps": overlaps, "stiffness": k_n, "normal_force": normal, "forces": -on_j,
+        "tangential_stiffness": k_t, "coefficients": pairs.coefficient[:count], **held,
+    }  # fmt: skip
     return Contacts(
-        np.column_stack([i, j]), branches, normals, overlaps, pairs.stiffness[:count].copy(),
-        normal, tangential, -on_j,
-    )  # fmt: skip
+        **{name: None if of is None else of[contact] for name, of in everything.items()}
+    )
 
 
-def _tangential_of(packing: Packing, i: np.ndarray, j: np.ndarray) -> np.ndarray:
-    """Tangential forces of the pairs (i, j), zero where the packing holds none."""
+@kernel
+def elastic_response(law, coefficients, overlaps):
+    """(f_n, k_n, k_t), each (C,), at overlaps (C,) that are zero or more."""
+    forces, k_n, k_t = np.zeros((3, len(overlaps)))
+    for c in range(len(overlaps)):
+        forces[c] = normal_force(law, coefficients[c], overlaps[c])
+        k_n[c], k_t[c] = stiffnesses(law, coefficients[c], overlaps[c])
+    return forces, k_n, k_t
+
+
+def largest_overlap(contacts: Contacts, packing: Packing) -> float:
+    """Of all contacts, over the mean diameter of its grains; 0 without contacts."""
+    i, j = contacts.pairs.T
+    return float((contacts.overlaps / (packing.radii[i] + packing.radii[j])).max(initial=0.0))
+
+
+def _held_by(
+    packing: Packing, values: np.ndarray | None, i: np.ndarray, j: np.ndarray
+) -> np.ndarray | None:
+    """What the packing holds for the pairs (i, j), zero where it holds nothing."""
+    if values is None:
+        return None
     known = packing.contacts[:, 0].astype(np.int64) * packing.size + packing.contacts[:, 1]
     order = np.argsort(known)
     wanted = i * packing.size + j
     place = np.searchsorted(known[order], wanted)
     place[place == len(known)] = 0
-    forces = np.zeros((len(i), *packing.tangential.shape[1:]))
+    held = np.zeros((len(i), *values.shape[1:]))
     if len(known):
         found = known[order][place] == wanted
-        forces[found] = packing.tangential[order][place][found]
-    return forces
+        held[found] = values[order][place][found]
+    return held
 
 
 def tangential_vectors(normals: np.ndarray, tangential: np.ndarray) -> np.ndarray:
@@ -112,18 +157,41 @@ def fabric_anisotropy(phi: np.ndarray) -> np.ndarray:
 
 
 def elastic_energy(packing: Packing, contacts: Contacts | None = None) -> float:
-    """Energy stored in the contacts, J: sum of k_n d^2 / 2 + f_t^2 / (2 k_t); without cohesion."""
+    """Energy stored in the contacts, J, without cohesion.
+
+    The integral of f_n over the overlap, f_t^2 / (2 k_t), and of rolling moments M^2 / (2 k_r).
+    """
     contacts = contacts or touching(packing)
-    energy = 0.5 * (contacts.stiffness * contacts.overlaps**2).sum()
-    if packing.law.friction > 0 and packing.law.stiffness_ratio > 0:
-        kt = packing.law.stiffness_ratio * contacts.stiffness
-        squared = tangential_vectors(contacts.normals, contacts.tangential) ** 2
-        energy += 0.5 * (squared.sum(1) / kt).sum()
+    # with u = s^2 a force that is a polynomial of the root of u is integrated exactly
+    places, weights = np.polynomial.legendre.leggauss(8)
+    law, overlaps, energy = packing.law.elasticity, np.abs(contacts.overlaps), 0.0
+    for share, weight in zip(0.5 + 0.5 * places, weights, strict=True):
+        forces, _, _ = elastic_response(law, contacts.coefficients, share**2 * overlaps)
+        energy += weight * share * (forces * overlaps).sum()
+    k_t = contacts.tangential_stiffness
+    squared = tangential_vectors(contacts.normals, contacts.tangential) ** 2
+    sheared = squared.any(1)
+    energy += 0.5 * (squared.sum(1)[sheared] / k_t[sheared]).sum()
+    if contacts.rolling is not None:
+        radii = packing.radii[contacts.pairs]
+        radius = radii.prod(1) / radii.sum(1)
+        k_r = packing.law.rolling.rolling_stiffness(k_t, radius)
+        squared = contacts.rolling.reshape(len(k_t), -1) ** 2
+        rolled = squared.any(1)
+        energy += 0.5 * (squared.sum(1)[rolled] / k_r[rolled]).sum()
     return float(energy)
 
 
 @kernel
-def measure(motion, pairs, cohesion, thickness, stress, fabric):
+def measure(motion, pairs, material, thickness, stress, fabric):
+    """`measure_with` the parts of the material that forces depend on."""
+    return measure_with(
+        motion, pairs, material.law, material.cohesion, material.bonds, thickness, stress, fabric
+    )
+
+
+@kernel
+def measure_with(motion, pairs, law, cohesion, bonds, thickness, stress, fabric):
     """Stress and fabric (d, d) of a packing in the work space; returns (contacts, overlap).
 
     The same sums as `stress` and `fabric`, from the positions of this moment. `overlap` is the
@@ -135,7 +203,9 @@ def measure(motion, pairs, cohesion, thickness, stress, fabric):
     branch, force = np.zeros(3), np.zeros(3)
     stress[:] = 0.0
     fabric[:] = 0.0
-    contacts, overlap = 0, 0.0
+    contacts, largest = 0, 0.0
+    last = pairs.memory.shape[0] - 1
+    bond = None if bonds is None else 0.0
     for c in range(pairs.first[-1]):
         i, j = pairs.i[c], pairs.j[c]
         x = position[0, j] - position[0, i] + pairs.shift[0, c]
@@ -148,11 +218,15 @@ def measure(motion, pairs, cohesion, thickness, stress, fabric):
             branch[2] = box[2, 0] * x + box[2, 1] * y + box[2, 2] * z
         squared = branch[0] ** 2 + branch[1] ** 2 + branch[2] ** 2
         length = squared**0.5
-        if length >= pairs.reach[c]:
+        overlap = pairs.reach[c] - length
+        if bonds is not None:
+            bond = pairs.memory[last, c]
+        strained = strained_overlap(bonds, bond, overlap)
+        if strained == 0.0:
             continue
-        normal = pairs.stiffness[c] * (pairs.reach[c] - length)
+        normal = elastic_force(law, bonds, pairs.coefficient[c], strained)
         if cohesion is not None:
-            normal -= cohesion
+            normal -= attraction(cohesion, overlap)
         if dim == 2:
             force[0] = (normal * branch[0] - pairs.tangential[0, c] * branch[1]) / length
             force[1] = (normal * branch[1] + pairs.tangential[0, c] * branch[0]) / length
@@ -164,11 +238,11 @@ def measure(motion, pairs, cohesion, thickness, stress, fabric):
                 stress[a, b] -= force[a] * branch[b]
                 fabric[a, b] += branch[a] * branch[b] / squared
         contacts += 1
-        overlap = max(overlap, (pairs.reach[c] - length) / pairs.reach[c])
+        largest = max(largest, overlap / pairs.reach[c])
     stress /= determinant(box) * thickness
     if contacts > 0:
         fabric /= contacts
     else:
         for a in range(dim):
             fabric[a, a] = 1.0 / dim
-    return contacts, overlap
+    return contacts, largest

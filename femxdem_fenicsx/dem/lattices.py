@@ -4,9 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .contacts import LinearContact
+from .contacts import ContactLaw
 from .packing import Packing
-from .preparation import GUO_ZHAO, compress
+from .preparation import GUO_ZHAO, cemented, compress
+from .response import load_kernels
 
 #: Overlap that the compression starts from, as a share of the diameter.
 TOUCHING = 1e-6
@@ -15,7 +16,7 @@ TOUCHING = 1e-6
 def hexagonal_packing(
     grains: int = 400,
     radius: float = 5e-3,
-    law: LinearContact | None = None,
+    law: ContactLaw | None = None,
     pressure: float | Sequence[float] = 1e5,
     density: float = 2650.0,
     thickness: float | None = None,
@@ -30,7 +31,7 @@ def hexagonal_packing(
     Args:
         grains: at least; the lattice has the next number of them that fills its box.
         radius: m.
-        law: contact law; Guo-Zhao's by default.
+        law: contact law; Guo-Zhao's by default. Where it has bonds, all contacts are cemented.
         pressure: Pa, compression positive; isotropic, or one value per axis.
         density: kg/m3.
         thickness: m; 0.1 m by default for disks, spheres have none.
@@ -51,11 +52,14 @@ def hexagonal_packing(
     places, box = _triangular(grains) if dim == 2 else _face_centred(grains)
     if thickness is None:
         thickness = 0.1 if dim == 2 else 1.0
+    law = law or GUO_ZHAO
+    load_kernels(law, dim)
     packing = Packing(
         np.diag(box) * 2 * radius * (1 - TOUCHING), places, np.full(len(places), radius),
-        law or GUO_ZHAO, density, thickness,
+        law, density, thickness,
     )  # fmt: skip
-    return compress(packing, pressure, tolerance)
+    at_rest = compress(packing, pressure, tolerance)
+    return at_rest if law.bonds is None else cemented(at_rest)
 
 
 def _triangular(grains: int) -> tuple[np.ndarray, np.ndarray]:

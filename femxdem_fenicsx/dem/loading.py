@@ -7,7 +7,7 @@ import numpy as np
 
 from . import dynamics
 from .accuracy import Accuracy
-from .aliasing import kernel
+from .aliasing import kernel, next_ticket
 from .dynamics import NO_ROOM, OK
 from .homogenisation import measure
 from .neighbours import remember
@@ -27,7 +27,7 @@ class Loading(NamedTuple):
     inertial_number: float
     tolerance: float
     hold_limit: int
-    time_step: float  # s
+    time_step: float  # s, for the packing as it was prepared
     damping: float
     hold_damping: float
     mean_diameter: float  # m
@@ -64,7 +64,7 @@ def settings(packing: Packing, accuracy: Accuracy, pressure: float) -> Loading:
         accuracy.inertial_number,
         accuracy.tolerance,
         accuracy.hold_limit,
-        accuracy.time_step * stable_time_step(packing),
+        accuracy.time_step * stable_time_step(packing, pressure),
         accuracy.damping,
         accuracy.hold_damping,
         packing.mean_diameter,
@@ -96,7 +96,10 @@ def logarithm(F: np.ndarray) -> np.ndarray:
     root, halvings = F.copy(), np.zeros((*F.shape[:-2], 1, 1))
     far = np.abs(root - identity).max((-2, -1)) > 0.1
     while far.any():  # the roots of one F must not depend on the others
-        root[far] = _square_root(root[far])
+        try:
+            root[far] = _square_root(root[far])
+        except np.linalg.LinAlgError:  # exactly 180 degrees
+            raise half_turn from None
         halvings[far] += 1
         if halvings.max() > 12 or not np.isfinite(root).all():
             raise half_turn
@@ -152,8 +155,22 @@ def resume_flow(motion, gradient, flow, flow_gradient):
 
 
 @kernel
+def restore(b, state, work):
+    """Box, positions and contact history of packing b of a batch; the pair list is out of date."""
+    motion, history = work.motion, work.history
+    motion.box[:] = state[0][b]
+    motion.position[:] = state[1][b]
+    history.first[:] = state[5][b]
+    count = history.first[-1]
+    history.j[:count] = state[6][b, :count]
+    history.tangential[:, :count] = state[7][b, :, :count]
+    history.memory[:, :count] = state[8][b, :, :count]
+
+
+@kernel
 def deform(
-    b, F, log_F, shear, pressure, material, loading, state, new, place, outcome, row, work
+    b, F, log_F, shear, pressure, time_step, material, loading, state, new, place, outcome, row,
+    work,
 ):  # fmt: skip
     """Deform packing b by F (d, d) in the time of its shear, then hold it; Desrues eq. 16-19.
 
@@ -162,12 +179,7 @@ def deform(
     for the contacts; what has been written then has no meaning.
     """
     motion, history = work.motion, work.history
-    motion.box[:] = state[0][b]
-    motion.position[:] = state[1][b]
-    history.first[:] = state[5][b]
-    count = history.first[-1]
-    history.j[:count] = state[6][b, :count]
-    history.tangential[:, :count] = state[7][b, :, :count]
+    restore(b, state, work)
     final_box = product(F, motion.box)
     if dynamics.start(material, work) != OK:
         return NO_ROOM
@@ -175,8 +187,8 @@ def deform(
     held_pressure = max(pressure, loading.least_pressure)
     speed = loading.inertial_number * math.sqrt(held_pressure / loading.density)
     duration = shear * loading.mean_diameter / speed  # tau of eq. 18
-    steps = max(math.ceil(duration / loading.time_step), FEWEST_STEPS)
-    dt = duration / steps if duration > 0 else loading.time_step
+    steps = max(math.ceil(duration / time_step), FEWEST_STEPS)
+    dt = duration / steps if duration > 0 else time_step
     gradient = log_F / (steps * dt)
     resume_flow(motion, gradient, state[2][b], state[3][b])
     if dynamics.advance(steps, dt, gradient, loading.damping, material, work) != OK:
@@ -194,12 +206,10 @@ def deform(
     still = np.zeros_like(F)
     held, ratio, at_rest = 0, 0.0, False
     while not at_rest and held < loading.hold_limit:
-        if (
-            dynamics.advance(
-                HOLD_BLOCK, loading.time_step, still, loading.hold_damping, material, work
-            )
-            != OK
-        ):
+        status = dynamics.advance(
+            HOLD_BLOCK, time_step, still, loading.hold_damping, material, work
+        )
+        if status != OK:
             return NO_ROOM
         held += HOLD_BLOCK
         net, contact = dynamics.unbalance(work)
@@ -215,10 +225,33 @@ def deform(
     new[5][place] = history.first
     new[6][place, :count] = history.j[:count]
     new[7][place, :, :count] = history.tangential[:, :count]
+    new[8][place, :, :count] = history.memory[:, :count]
     outcome.contacts[row], outcome.overlap[row] = measure(
-        motion, work.pairs, material.cohesion, loading.thickness, outcome.stress[row],
-        outcome.fabric[row],
+        motion, work.pairs, material, loading.thickness, outcome.stress[row], outcome.fabric[row]
     )  # fmt: skip
     outcome.loading_steps[row], outcome.hold_steps[row] = steps, held
     outcome.unbalance[row], outcome.at_rest[row] = ratio, at_rest
     return OK
+
+
+@kernel
+def deform_in_turn(
+    tickets, order, packings, places, F, log_F, shear, pressure, time_step, material, loading,
+    state, new, outcome, status, work,
+):  # fmt: skip
+    """Deform rows of `order`, each the next that no other thread has taken, until none is left.
+
+    The threads of a process all call this with the same `tickets` (1,) at zero and with a work
+    space of their own. Row r is packing `packings[r]`, goes to `places[r]` of `new`, and leaves
+    what `deform` returns in `status[r]`.
+    """
+    while True:
+        turn = next_ticket(tickets)
+        if turn >= order.size:
+            return
+        r = order[turn]
+        b = packings[r]
+        status[r] = deform(
+            b, F[r], log_F[r], shear[r], pressure[b], time_step[b], material, loading, state, new,
+            places[r], outcome, r, work,
+        )  # fmt: skip

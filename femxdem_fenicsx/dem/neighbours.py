@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .aliasing import kernel, stays_out_of_line
-from .contacts import normal_stiffness
+from .contacts.interface import coefficient
 from .small import inverse, product, smallest_singular_value
 
 
@@ -26,20 +26,22 @@ class Pairs(NamedTuple):
     j: np.ndarray  # (P,)
     shift: np.ndarray  # (d, P) image of j that is near i, in boxes
     reach: np.ndarray  # (P,) sum of radii, m
-    stiffness: np.ndarray  # (P,) k_n, N/m
-    dashpot: np.ndarray | None  # (P,) viscous coefficient, N s/m, or None without viscosity
+    coefficient: np.ndarray  # (P,) what the contact law makes of the radii; linear: k_n, N/m
+    dashpot: np.ndarray | None  # (P,) viscous coefficient over sqrt(k_n), kg^0.5; or None
     tangential: np.ndarray  # (q, P) tangential force on j, N
+    memory: np.ndarray  # (m, P) what else the law remembers (`ContactLaw.memory`)
     normal: np.ndarray | None  # (3, P) n of the last step, of spheres
     anchor: np.ndarray  # (d, N) reduced positions when the list was built
     anchor_box: np.ndarray  # (d, d) box when the list was built
 
 
 class History(NamedTuple):
-    """Tangential forces of touching pairs between two pair lists, in compressed rows."""
+    """What contacts remember between two pair lists, in compressed rows."""
 
     first: np.ndarray  # (N + 1,)
     j: np.ndarray  # (C,)
     tangential: np.ndarray  # (q, C) N
+    memory: np.ndarray  # (m, C)
 
 
 class Grid(NamedTuple):
@@ -54,8 +56,13 @@ class Grid(NamedTuple):
     found: np.ndarray  # (3, P) pairs in the order of the search: i, j, step of the stencil
 
 
-def allocate(grains: int, dim: int, capacity: int, viscous: bool) -> tuple[Pairs, History, Grid]:
-    """Empty work space for a packing of that many grains and at most `capacity` pairs."""
+def allocate(
+    grains: int, dim: int, capacity: int, viscous: bool, memory: int = 0
+) -> tuple[Pairs, History, Grid]:
+    """Empty work space for a packing of that many grains and at most `capacity` pairs.
+
+    `memory`: how many values a contact remembers beside its tangential force.
+    """
     index, real = np.uint32, np.float64
     components = 1 if dim == 2 else 3
     pairs = Pairs(
@@ -67,6 +74,7 @@ def allocate(grains: int, dim: int, capacity: int, viscous: bool) -> tuple[Pairs
         np.zeros(capacity, real),
         np.zeros(capacity, real) if viscous else None,
         np.zeros((components, capacity), real),
+        np.zeros((memory, capacity), real),
         np.zeros((3, capacity), real) if dim == 3 else None,
         np.zeros((dim, grains), real),
         np.zeros((dim, dim), real),
@@ -75,6 +83,7 @@ def allocate(grains: int, dim: int, capacity: int, viscous: bool) -> tuple[Pairs
         np.zeros(grains + 1, index),
         np.zeros(capacity, index),
         np.zeros((components, capacity), real),
+        np.zeros((memory, capacity), real),
     )
     grid = Grid(
         np.zeros(grains + 16, np.int32),
@@ -102,8 +111,8 @@ def box_heights(box):
 
 
 @kernel
-def build(box, position, radius, inverse_mass, constant, modulus, viscosity, skin, pairs, grid):
-    """Fill the pair list for these positions; tangential forces are zero.
+def build(box, position, radius, inverse_mass, law, viscosity, skin, pairs, grid):
+    """Fill the pair list for these positions; contacts remember nothing.
 
     Returns the number of pairs, or -1 where `pairs` has no room for them.
     """
@@ -113,13 +122,14 @@ def build(box, position, radius, inverse_mass, constant, modulus, viscosity, ski
     if count < 0:
         return count
     pairs.tangential[:, :count] = 0.0
+    pairs.memory[:, :count] = 0.0
     for c in range(count):
         i, j = pairs.i[c], pairs.j[c]
         pairs.reach[c] = radius[i] + radius[j]
-        pairs.stiffness[c] = normal_stiffness(radius[i], radius[j], constant, modulus)
+        pairs.coefficient[c] = coefficient(law, radius[i], radius[j])
         if viscosity is not None:
             reduced_mass = 1.0 / (inverse_mass[i] + inverse_mass[j])
-            pairs.dashpot[c] = 2.0 * viscosity * np.sqrt(pairs.stiffness[c] * reduced_mass)
+            pairs.dashpot[c] = 2.0 * viscosity * np.sqrt(reduced_mass)
     point_along_branches(count, box, position, pairs, pairs.normal)
     pairs.anchor[:] = position
     pairs.anchor_box[:] = box
@@ -282,29 +292,41 @@ def outdated(box, position, longest_reach, skin, pairs):
 
 
 @kernel
+def any_in(values, column):
+    """Whether a column of an array (rows, n) holds anything but zeros."""
+    for a in range(values.shape[0]):
+        if values[a, column] != 0.0:
+            return True
+    return False
+
+
+@kernel
+def copy(source, column, target, place):
+    """Column of one array (rows, n) into a column of another."""
+    for a in range(source.shape[0]):
+        target[a, place] = source[a, column]
+
+
+@kernel
 def remember(pairs, history):
-    """Store the tangential forces of the pair list, those that are not zero."""
+    """Store what the contacts of the pair list remember, those that remember anything."""
     stays_out_of_line()
     grains = pairs.first.size - 1
-    components = pairs.tangential.shape[0]
     count = 0
     for i in range(grains):
         history.first[i] = count
         for c in range(pairs.first[i], pairs.first[i + 1]):
-            present = False
-            for a in range(components):
-                present |= pairs.tangential[a, c] != 0.0
-            if present:
+            if any_in(pairs.tangential, c) or any_in(pairs.memory, c):
                 history.j[count] = pairs.j[c]
-                for a in range(components):
-                    history.tangential[a, count] = pairs.tangential[a, c]
+                copy(pairs.tangential, c, history.tangential, count)
+                copy(pairs.memory, c, history.memory, count)
                 count += 1
     history.first[grains] = count
 
 
 @kernel
 def recall(pairs, history, grid):
-    """Give the pairs of the list the tangential forces that the history holds for them."""
+    """Give the pairs of the list what the history holds for them."""
     stays_out_of_line()
     grains = pairs.first.size - 1
     marker = grid.marker
@@ -315,7 +337,7 @@ def recall(pairs, history, grid):
         for c in range(pairs.first[i], pairs.first[i + 1]):
             old = marker[pairs.j[c]]
             if old >= 0:
-                for a in range(pairs.tangential.shape[0]):
-                    pairs.tangential[a, c] = history.tangential[a, old]
+                copy(history.tangential, old, pairs.tangential, c)
+                copy(history.memory, old, pairs.memory, c)
         for c in range(history.first[i], history.first[i + 1]):
             marker[history.j[c]] = -1

@@ -1,10 +1,10 @@
 """Packing: one periodic assembly of grains. PackingBatch: many of them, for the kernels."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from .contacts import LinearContact
+from .contacts import ContactLaw
 from .dynamics import Material
 from .neighbours import box_heights
 
@@ -29,21 +29,27 @@ class Packing:
         law: contact law.
         density: of the grains, kg/m3.
         thickness: out of plane, m; 1 for spheres.
-        contacts: (C, 2) pairs (i, j), i < j, that transmit a tangential force.
+        contacts: (C, 2) pairs (i, j), i < j, that transmit a tangential force or are bonded.
         tangential: force on j, N, (C,) along (-n_y, n_x) with n from i to j; of spheres (C, 3).
+        rolling: moment of the rolling resistance on j, N m, (C,); of spheres (C, 3). None, which
+            stands for zeros, where the law has no rolling resistance.
+        bonded: (C,) 1 for cemented contacts, 0 for others. None where the law has no bonds.
 
     Raises ValueError for no grains, radii or density that are not positive, a box that is turned
-    inside out or so small that a grain would meet its own image, and anything not finite.
+    inside out or so small that a grain would meet its own image, contacts that remember what their
+    law does not know (rolling moments, bonds), bonds that stretch too far, anything not finite.
     """
 
     box: np.ndarray
     positions: np.ndarray
     radii: np.ndarray
-    law: LinearContact
+    law: ContactLaw
     density: float = 2650.0
     thickness: float = 1.0
     contacts: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.int32))
     tangential: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    rolling: np.ndarray | None = None
+    bonded: np.ndarray | None = None
 
     def __post_init__(self):
         for name in ("box", "positions", "radii", "tangential"):
@@ -52,6 +58,10 @@ class Packing:
         if self.dim == 3 and self.tangential.size == 0:
             object.__setattr__(self, "tangential", np.zeros((0, 3)))
         self._check()
+        for name, rows in self.law.memory(self.dim).items():
+            self._check_memory(name, rows.stop - rows.start)
+        if self.law.bonds is not None:
+            self._check_bonds()
 
     def _check(self):
         size, dim, contacts = self.radii.size, self.dim, len(self.tangential)
@@ -91,6 +101,39 @@ class Packing:
             raise ValueError(
                 "Packing: the box is lower than two diameters of the largest grain, which would"
                 " meet its own image; use more grains"
+            )
+
+    def _check_memory(self, name: str, rows: int):
+        """What contacts remember: zeros if nothing is given; refused where the law has no use."""
+        given = getattr(self, name)
+        if rows == 0:
+            if given is not None and np.any(given):
+                raise ValueError(
+                    f"Packing: {np.count_nonzero(given)} values of {name} are not zero, but its"
+                    f" contact law has no {'bonds' if name == 'bonded' else 'rolling resistance'}:"
+                    f" give it some, or give the packing {name}=None"
+                )
+            object.__setattr__(self, name, None)
+            return
+        shape = self.tangential.shape if name == "rolling" else self.tangential.shape[:1]
+        values = np.zeros(shape) if given is None else np.array(given, dtype=np.float64)
+        if values.shape != shape:
+            raise ValueError(f"Packing: {name} has shape {values.shape}, expected {shape}")
+        if not np.isfinite(values).all():
+            raise ValueError(f"Packing: {name} has values that are not finite")
+        object.__setattr__(self, name, values)
+
+    def _check_bonds(self):
+        if not np.isin(self.bonded, (0.0, 1.0)).all():
+            raise ValueError("Packing: bonded must be 0 or 1 for every contact")
+        elasticity, skin = self.law.elasticity, SKIN * float(self.radii.mean())
+        smallest = float(self.radii.min())
+        strength = elasticity.normal_force(elasticity.coefficient(smallest, smallest), skin)
+        if self.bonded.any() and strength < self.law.bonds.tension:
+            raise ValueError(
+                f"Packing: bonds of {self.law.bonds.tension:.4g} N stretch by more than"
+                f" {SKIN:.0%} of the mean radius before they break (at {strength:.4g} N); take"
+                " stiffer contacts or weaker bonds"
             )
 
     @property
@@ -137,19 +180,71 @@ class Packing:
             self.radii,
             1.0 / self.masses,
             1.0 / self.radii if self.dim == 3 else None,
-            *self.law.stiffnesses,
-            float(self.law.stiffness_ratio),
+            self.law.elasticity,
             *self.law.features,
+            self.law.rolling,
+            self.law.bonds,
             *(self.law.turning if self.dim == 3 else (None, None)),
             SKIN * float(self.radii.mean()),
         )
 
     @property
-    def contact_modulus(self) -> float:
-        """k_n of a mean contact over thickness or mean radius, Pa: a scale of stiffness."""
-        constant, modulus = self.law.stiffnesses
-        radius = float(self.radii.mean())
-        return (constant + modulus * radius) / (self.thickness if self.dim == 2 else radius)
+    def memory(self) -> np.ndarray:
+        """(m, C) what contacts remember beside their tangential force (`ContactLaw.memory`)."""
+        rows = self.law.memory(self.dim)
+        memory = np.zeros((rows["bonded"].stop, len(self.contacts)))
+        for name, place in rows.items():
+            if getattr(self, name) is not None:
+                memory[place] = getattr(self, name).T
+        return memory
+
+    def with_contacts(
+        self, contacts: np.ndarray, tangential: np.ndarray, memory: np.ndarray, **changes
+    ) -> "Packing":
+        """A copy with these contacts (C, 2) and what they remember, (q, C) and (m, C)."""
+        vectors = (lambda rows: rows[0]) if self.dim == 2 else (lambda rows: rows.T)
+        rows = self.law.memory(self.dim)
+        rolling, bonded = memory[rows["rolling"]], memory[rows["bonded"]]
+        return self.but(
+            contacts=contacts,
+            tangential=vectors(tangential),
+            rolling=vectors(rolling) if len(rolling) else None,
+            bonded=bonded[0] if len(bonded) else None,
+            **changes,
+        )
+
+    def overlap_under(self, pressure: float) -> float:
+        """Overlap of a mean contact under a pressure (Pa), m: its force is p d t, or p d^2."""
+        elasticity, radius = self.law.elasticity, float(self.radii.mean())
+        coefficient = elasticity.coefficient(radius, radius)
+        force = pressure * 2 * radius * (self.thickness if self.dim == 2 else 2 * radius)
+        low, high = 0.0, 2.0 * radius
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            if elasticity.normal_force(coefficient, middle) < force:
+                low = middle
+            else:
+                high = middle
+        return high
+
+    def contact_modulus(self, overlap: float | None = None) -> float:
+        """k_n of a mean contact over thickness or mean radius, Pa: a scale of stiffness.
+
+        At that overlap (m), or one of 0.1 % of the mean diameter; linear contacts do not mind.
+        """
+        elasticity, radius = self.law.elasticity, float(self.radii.mean())
+        overlap = 2e-3 * radius if overlap is None else overlap
+        k_n, _ = elasticity.stiffnesses(elasticity.coefficient(radius, radius), overlap)
+        return k_n / (self.thickness if self.dim == 2 else radius)
+
+    def equals(self, other: "Packing") -> bool:
+        """Whether the other one has the same grains at the same places, with the same law."""
+        return all(
+            np.array_equal(getattr(self, field.name), getattr(other, field.name))
+            if isinstance(getattr(self, field.name), np.ndarray)
+            else getattr(self, field.name) == getattr(other, field.name)
+            for field in fields(self)
+        )
 
     def but(self, **changes) -> "Packing":
         """A copy with some attributes changed."""
@@ -190,8 +285,9 @@ class PackingBatch:
             it (1/s); q = 1 in 2D, 3 in 3D;
         turns (B, d, d): integers; `box` is the box of the first committed state, deformed, times
             them (see `reduce_boxes`);
-        row (B, N + 1), second (B, C), tangential (B, q, C): contacts that hold a tangential force,
-            in compressed rows (`neighbours.History`).
+        row (B, N + 1), second (B, C), tangential (B, q, C), memory (B, m, C): contacts that hold a
+            tangential force or are bonded, in compressed rows (`neighbours.History`), and what the
+            contact law remembers of them (`ContactLaw.memory`; m may be 0).
         template: the packing that gives radii, contact law, density and thickness.
     """
 
@@ -204,8 +300,12 @@ class PackingBatch:
     row: np.ndarray
     second: np.ndarray
     tangential: np.ndarray
+    memory: np.ndarray
 
-    STATE = ("box", "position", "flow", "flow_gradient", "turns", "row", "second", "tangential")
+    STATE = (
+        "box", "position", "flow", "flow_gradient", "turns", "row", "second", "tangential",
+        "memory",
+    )  # fmt: skip
 
     @classmethod
     def of(cls, packing: Packing, size: int) -> "PackingBatch":
@@ -225,6 +325,7 @@ class PackingBatch:
             np.zeros((size, N + 1), np.uint32),
             np.zeros((size, room), np.uint32),
             np.zeros((size, q, room)),
+            np.zeros((size, packing.law.memory(d)["bonded"].stop, room)),
         )
         for b in range(size):
             batch.put(b, packing)
@@ -260,6 +361,14 @@ class PackingBatch:
         self.row[b] = np.searchsorted(pairs[:, 0], np.arange(packing.size + 1))
         self.second[b, :count] = pairs[:, 1]
         self.tangential[b, :, :count] = packing.tangential[order].T
+        self.memory[b, :, :count] = packing.memory[:, order]
+
+    def clear_unused(self) -> None:
+        """Zero the room behind the last contact, so that equal states are equal arrays."""
+        unused = np.arange(self.second.shape[1]) >= self.row[:, -1:]
+        self.second[unused] = 0
+        np.moveaxis(self.tangential, 1, 2)[unused] = 0.0
+        np.moveaxis(self.memory, 1, 2)[unused] = 0.0
 
     def reduce_boxes(self) -> None:
         """Replace every box that is too skewed by an equivalent one, h <- h A, s <- A^-1 s.
@@ -284,11 +393,8 @@ class PackingBatch:
         row = self.row[b].astype(np.int64)
         count = row[-1]
         first = np.repeat(np.arange(self.template.size), np.diff(row))
-        return self.template.but(
-            box=self.box[b],
-            positions=self.position[b].T,
-            contacts=np.column_stack([first, self.second[b, :count]]),
-            tangential=self.tangential[b, :, :count].T.squeeze(1)
-            if self.template.dim == 2
-            else self.tangential[b, :, :count].T,
+        contacts = np.column_stack([first, self.second[b, :count]])
+        tangential, memory = self.tangential[b, :, :count], self.memory[b, :, :count]
+        return self.template.with_contacts(
+            contacts, tangential, memory, box=self.box[b], positions=self.position[b].T
         )

@@ -7,13 +7,14 @@ from functools import partial
 import numpy as np
 
 from . import dynamics
-from .contacts import LinearContact
+from .contacts import ContactLaw, LinearContact
 from .dynamics import OK
 from .grain_sizes import GivenRadii, GrainSizes, UniformByNumber
-from .homogenisation import measure
+from .homogenisation import measure, touching
 from .loading import pressure_of
 from .neighbours import box_heights, remember
 from .packing import PAIRS_PER_GRAIN, Packing
+from .response import load_kernels
 from .stability import stable_time_step
 
 #: Local damping (Guo-Zhao eq. 18) while a packing is prepared.
@@ -49,7 +50,7 @@ class NotReached(RuntimeError):
 def random_packing(
     grains: int = 400,
     radii: tuple[float, float] | GrainSizes = (3e-3, 7e-3),
-    law: LinearContact | None = None,
+    law: ContactLaw | None = None,
     pressure: float | Sequence[float] = 1e5,
     compaction_friction: float = 0.0,
     seed: int = 1,
@@ -65,7 +66,8 @@ def random_packing(
         grains: their number.
         radii: how the radii are distributed, see `grain_sizes`; two values are the bounds of a
             distribution that is uniform by number, m (defaults: Guo-Zhao table I).
-        law: contact law of the finished packing; Guo-Zhao's by default.
+        law: contact law of the finished packing; Guo-Zhao's by default. Where it has bonds, all
+            grains that touch in the end are cemented.
         pressure: Pa, compression positive; isotropic, or one value per axis (Desrues table 4).
         compaction_friction: friction during the compression, which steers the void ratio: 0 gives
             a dense packing, more a looser one.
@@ -88,12 +90,16 @@ def random_packing(
         raise ValueError(f"a packing has 2 or 3 dimensions, not {dim}")
     if thickness is None:
         thickness = 0.1 if dim == 2 else 1.0
+    load_kernels(law, dim)
     rng = np.random.default_rng(seed)
-    compaction_law = replace(law, friction=compaction_friction, cohesion=0.0)
+    compaction_law = replace(
+        law, friction=compaction_friction, cohesion=0.0, rolling=None, bonds=None
+    )
     dilute = _dilute(grains, dim, sizes, compaction_law, density, thickness, rng)
     # grains without friction could not bear unequal stresses: those come with the law's friction
     compacted = compress(dilute, float(np.min(pressure)), tolerance, rng, progress)
-    return settle(compacted.but(law=law), pressure, tolerance)
+    settled = settle(compacted.but(law=law), pressure, tolerance)
+    return settled if law.bonds is None else cemented(settled)
 
 
 def packing_of_void_ratio(
@@ -223,16 +229,14 @@ def compress(
     if rng is not None:
         work.motion.velocity[:] = 0.3 * speed * rng.normal(size=work.motion.velocity.shape)
     fastest = 1e-2 * speed / packing.mean_diameter
-    dt = 0.5 * stable_time_step(packing.but(contacts=np.zeros((0, 2)), tangential=[]))
+    dt = 0.5 * stable_time_step(packing, pressure)
     rate, stress, fabric, deviator = np.zeros((4, packing.dim, packing.dim))
-    softness = 1.0
+    softness, modulus = 1.0, packing.contact_modulus(packing.overlap_under(pressure))
     # a little above what `Packing` refuses, so that the state can be kept
     flattest = 4.4 * packing.radii.max()
     for block in range(MOST_BLOCKS):
         _must(dynamics.advance(BLOCK, dt, rate, DAMPING, material, work))
-        contacts, _ = measure(
-            work.motion, work.pairs, material.cohesion, packing.thickness, stress, fabric
-        )
+        contacts, _ = measure(work.motion, work.pairs, material, packing.thickness, stress, fabric)
         net, force = dynamics.unbalance(work)
         excess = stress + target
         if np.abs(excess).max() < tolerance * pressure and net < tolerance * force:
@@ -241,7 +245,7 @@ def compress(
         last, deviator = deviator, 0.5 * (excess + excess.T) - mean
         left = (deviator * last).sum() / max((last * last).sum(), 1e-300)
         softness = np.clip(softness * (0.5 if left < 0 else SOFTER if left > 0.98 else 1.0), 1, 1e3)
-        stiffness = max(contacts, 1) / packing.size * packing.contact_modulus
+        stiffness = max(contacts, 1) / packing.size * modulus
         calm = 0.1 * fastest * 2 * stiffness * 2 * BLOCK * dt / max(np.abs(deviator).max(), 1e-300)
         softness = max(min(softness, calm), 1.0)
         rate = -(mean + softness * deviator) / (2 * stiffness * 2 * BLOCK * dt)
@@ -266,6 +270,25 @@ def settle(packing: Packing, pressure: float | Sequence[float], tolerance: float
     return compress(packing, pressure, tolerance)
 
 
+def cemented(packing: Packing) -> Packing:
+    """The packing with a bond in every contact; forces stay as they are.
+
+    Raises ValueError where its contact law has no bonds.
+    """
+    if packing.law.bonds is None:
+        raise ValueError(
+            f"cemented: the packing's {type(packing.law).__name__} has no bonds; give it"
+            " bonds=Bonds(tension=..., shear=...)"
+        )
+    contacts = touching(packing)
+    return packing.but(
+        contacts=contacts.pairs,
+        tangential=contacts.tangential,
+        rolling=contacts.rolling,
+        bonded=np.ones(len(contacts.pairs)),
+    )
+
+
 def workspace_of(packing: Packing) -> dynamics.Workspace:
     """A work space with this packing, its contacts and its pair list."""
     material = packing.material
@@ -274,6 +297,7 @@ def workspace_of(packing: Packing) -> dynamics.Workspace:
         packing.dim,
         4 * PAIRS_PER_GRAIN[packing.dim] * packing.size,
         material.viscosity is not None,
+        len(packing.memory),
     )
     work.motion.box[:] = packing.box
     work.motion.position[:] = packing.positions.T
@@ -282,6 +306,7 @@ def workspace_of(packing: Packing) -> dynamics.Workspace:
     work.history.first[:] = np.searchsorted(pairs[:, 0], np.arange(packing.size + 1))
     work.history.j[: len(pairs)] = pairs[:, 1]
     work.history.tangential[:, : len(pairs)] = packing.tangential[order].T
+    work.history.memory[:, : len(pairs)] = packing.memory[:, order]
     _must(dynamics.start(material, work))
     return work
 
@@ -294,13 +319,12 @@ def packing_of(packing: Packing, work: dynamics.Workspace) -> Packing:
         [np.repeat(np.arange(packing.size), np.diff(row)), work.history.j[: row[-1]]]
     )
     positions = work.motion.position.T
-    return packing.but(
+    return packing.with_contacts(
+        contacts,
+        work.history.tangential[:, : row[-1]],
+        work.history.memory[:, : row[-1]],
         box=work.motion.box,
         positions=positions - np.floor(positions),
-        contacts=contacts,
-        tangential=work.history.tangential[0, : row[-1]]
-        if packing.dim == 2
-        else work.history.tangential[:, : row[-1]].T,
     )
 
 

@@ -4,13 +4,15 @@ import warnings
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import replace
 
 import numpy as np
 
-from .accuracy import Accuracy
-from .dynamics import OK, Workspace, workspace
-from .homogenisation import Contacts, fabric, stress, touching
-from .loading import Outcome, deform, logarithm, pressure_of, settings, shear_of
+from .accuracy import PRESETS, Accuracy
+from .contacts import ContactLaw
+from .dynamics import NO_ROOM, OK, Workspace, workspace
+from .homogenisation import fabric, largest_overlap, stress, touching
+from .loading import Outcome, deform_in_turn, logarithm, pressure_of, settings, shear_of
 from .packing import PAIRS_PER_GRAIN, Packing, PackingBatch
 
 #: A packing with more pairs than that per grain has collapsed.
@@ -19,13 +21,11 @@ MOST_PAIRS_PER_GRAIN = 40
 SOLID = 0.7
 
 
-def warn_of_overlaps(contacts: Contacts, packing: Packing) -> None:
+def warn_of_overlaps(overlap: float) -> None:
     """Warn of grains that overlap so much that contacts are none any more; too much is refused.
 
     Raises ValueError above half a diameter: such a packing was never at rest.
     """
-    i, j = contacts.pairs.T
-    overlap = float((contacts.overlaps / (packing.radii[i] + packing.radii[j])).max(initial=0.0))
     if overlap > 0.5:
         raise ValueError(
             f"grains overlap by up to {overlap:.0%} of their diameter: prepare the packing anew"
@@ -38,6 +38,24 @@ def warn_of_overlaps(contacts: Contacts, packing: Packing) -> None:
         )
 
 
+_loaded: set[tuple[ContactLaw, int]] = set()
+
+
+def load_kernels(law: ContactLaw, dim: int) -> None:
+    """Deform a grain on its own, so that this process loads these kernels before any other.
+
+    A cached kernel holds copies of those that it calls, optimised once more, and of two copies a
+    process runs the one that it loaded first. They differ by rounding. A rank that prepares a
+    packing must run the same as one that does not, and a run the same as when it is resumed.
+    """
+    if (law, dim) in _loaded:
+        return
+    _loaded.add((law, dim))
+    radius = 1e-3
+    grain = Packing(10 * radius * np.eye(dim), np.full((1, dim), 0.5), [radius], law)
+    Response(grain, 1, PRESETS["fast"]).deform(np.eye(dim)[None])
+
+
 class Response:
     """B packings with a committed state and a trial state.
 
@@ -47,7 +65,7 @@ class Response:
     Attributes:
         committed, trial: the two states. latest: the one of the two that was computed last.
         outcome: what was measured at `latest`. committed_outcome: the same at `committed`.
-        pressure: (B,) Pa, of the committed state.
+        pressure: (B,) Pa, of the committed state. time_step: (B,) s, longest that is stable there.
     """
 
     def __init__(self, packing: Packing, size: int, accuracy: Accuracy, threads: int = 1):
@@ -57,6 +75,7 @@ class Response:
         """
         if threads < 1:
             raise ValueError(f"threads must be 1 or more, got {threads}")
+        load_kernels(packing.law, packing.dim)
         self.committed = PackingBatch.of(packing, size)
         self.trial = self.committed.copy()
         self.material = packing.material
@@ -64,18 +83,21 @@ class Response:
         self._spaces: deque[Workspace] = deque()
         self._scratch: deque[tuple[np.ndarray, ...]] = deque()
         self._capacity = PAIRS_PER_GRAIN[packing.dim] * packing.size
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
         contacts = touching(packing)
-        warn_of_overlaps(contacts, packing)
+        overlap = largest_overlap(contacts, packing)
+        warn_of_overlaps(overlap)
         initial = stress(packing, contacts)
-        confining = max(float(pressure_of(initial)), 1e-6 * packing.contact_modulus)
+        confining = max(float(pressure_of(initial)), 1e-6 * packing.contact_modulus())
         self.loading = settings(packing, accuracy, confining)
         self.committed_outcome = Outcome.of(size, packing.dim)
         self.committed_outcome.stress[:] = initial
         self.committed_outcome.fabric[:] = fabric(contacts)
         self.committed_outcome.contacts[:] = len(contacts.pairs)
+        self.committed_outcome.overlap[:] = overlap
         self.committed_outcome.at_rest[:] = True
-        self._cost = np.zeros(size)
+        self._first_overlap = overlap
+        self.cost = np.zeros(size, np.int64)
         self.discard()
 
     @property
@@ -92,7 +114,7 @@ class Response:
         """
         self.outcome = self._run(F, np.arange(self.size), self.trial.state)
         self.latest = self.trial
-        self._cost = self.outcome.loading_steps + self.outcome.hold_steps
+        self.cost = self.outcome.loading_steps + self.outcome.hold_steps
         return self.outcome
 
     def probe(self, F: np.ndarray, packings: np.ndarray) -> Outcome:
@@ -111,6 +133,29 @@ class Response:
         """Forget the trial state: the latest state is the committed one again."""
         self.latest, self.outcome = self.committed, self.committed_outcome
         self.pressure = pressure_of(self.outcome.stress)
+        self.time_step = self._stable_steps()
+
+    def _stable_steps(self) -> np.ndarray:
+        """(B,) s: shorter where contacts have stiffened since the packing was prepared."""
+        packing = self.committed.template
+        first = max(self._first_overlap, packing.overlap_under(self.loading.least_pressure))
+        steps = np.full(self.size, self.loading.time_step)
+        for b in np.flatnonzero(self.outcome.overlap > first):
+            stiffening = packing.contact_modulus(
+                self.outcome.overlap[b] * packing.mean_diameter
+            ) / packing.contact_modulus(first * packing.mean_diameter)
+            steps[b] /= np.sqrt(max(stiffening, 1.0))
+        return steps
+
+    def restore(self, state: dict[str, np.ndarray], outcome: Outcome, cost: np.ndarray) -> None:
+        """Take over committed arrays of `PackingBatch.STATE`, what was measured, and the cost.
+
+        Of any number of packings, which have the template's grains. The trial is forgotten.
+        """
+        room = {name: np.empty_like(array) for name, array in state.items()}
+        self.committed, self.trial = (replace(self.committed, **s) for s in (state, room))
+        self.committed_outcome, self.cost = outcome, cost
+        self.discard()
 
     def _run(self, F, packings, new) -> Outcome:
         F = np.ascontiguousarray(F, dtype=np.float64)
@@ -118,24 +163,27 @@ class Response:
         self._check_room(F @ self.committed.box[packings], packings)
         shear = shear_of(log_F)
         outcome = Outcome.of(len(packings), self.committed.template.dim)
-        state = self.committed.state
+        places = np.zeros_like(packings) if new is None else packings
+        status = np.full(len(packings), NO_ROOM)
+        waiting = np.argsort(-self.cost[packings], kind="stable")  # expensive ones first
+        while len(waiting):
+            tickets = np.zeros(1, np.int64)
 
-        def one(row: int) -> None:
-            b = packings[row]
-            scratch = self._scratch_state() if new is None else None
-            target, place = (scratch, 0) if new is None else (new, b)
-            self.with_workspace(
-                lambda work: deform(
-                    b, F[row], log_F[row], shear[row], self.pressure[b], self.material,
-                    self.loading, state, target, place, outcome, row, work,
-                ),
-                f"packing {b}",
-            )  # fmt: skip
-            if scratch is not None:
-                self._scratch.append(scratch)
+            def work(waiting=waiting, tickets=tickets) -> None:
+                space, target = self._take_workspace(), self._take_state() if new is None else new
+                deform_in_turn(
+                    tickets, waiting, packings, places, F, log_F, shear, self.pressure,
+                    self.time_step, self.material, self.loading, self.committed.state, target,
+                    outcome, status, space,
+                )  # fmt: skip
+                self._spaces.append(space)
+                if new is None:
+                    self._scratch.append(target)
 
-        expensive_first = np.argsort(-self._cost[packings], kind="stable")
-        self.for_each(one, expensive_first)
+            self._on_threads(work, len(waiting))
+            waiting = waiting[status[waiting] != OK]
+            if len(waiting):
+                self._make_more_room(f"packing {packings[waiting].min()}", 2 * self._capacity)
         wrong = np.flatnonzero(~np.isfinite(outcome.stress).all((1, 2)))
         if len(wrong):
             raise FloatingPointError(
@@ -143,7 +191,7 @@ class Response:
             )
         return outcome
 
-    def _scratch_state(self) -> tuple[np.ndarray, ...]:
+    def _take_state(self) -> tuple[np.ndarray, ...]:
         """Arrays of a batch of one, for a state that nobody wants.
 
         Probing by the same compiled kernel as deforming gives the same bits.
@@ -173,37 +221,68 @@ class Response:
             )
 
     def for_each(self, task: Callable[[int], None], order: np.ndarray) -> None:
-        """Run task(k) for every k of `order`, on all threads; the first error is raised."""
-        if self._pool is None:
-            for k in order:
-                task(int(k))
-            return
-        running = [self._pool.submit(task, int(k)) for k in order]
-        wait(running)  # all of them, also after an error: they write to shared arrays
-        for future in running:
-            future.result()
+        """Run task(k) for every k of `order`, on all threads.
+
+        All are run, also after an error: they write to shared arrays. Then the error of the first
+        one in `order` is raised.
+        """
+        waiting = deque(enumerate(order.tolist()))
+        errors: list[tuple[int, Exception]] = []
+
+        def work() -> None:
+            while waiting:
+                try:
+                    place, k = waiting.popleft()
+                except IndexError:  # another thread took the last one
+                    return
+                try:
+                    task(k)
+                except Exception as error:
+                    errors.append((place, error))
+
+        self._on_threads(work, len(order))
+        if errors:
+            raise min(errors, key=lambda pair: pair[0])[1]
+
+    def _on_threads(self, work: Callable[[], None], most: int) -> None:
+        """Call work() on this thread and on the others, on at most so many in all."""
+        helpers = [self._pool.submit(work) for _ in range(min(self.threads, most) - 1)]
+        try:
+            work()
+        finally:
+            wait(helpers)
+        for helper in helpers:
+            helper.result()
 
     def with_workspace(self, compute: Callable[[Workspace], int], name: str) -> None:
         """Call compute(work) with a work space that no other thread uses, a larger one if need be.
 
         Raises FloatingPointError where even a very large one does not do.
         """
-        try:
-            work = self._spaces.pop()
-        except IndexError:
-            work = self._new_workspace()
+        work = self._take_workspace()
         while compute(work) != OK:
-            capacity = 2 * work.pairs.i.size
-            if capacity > MOST_PAIRS_PER_GRAIN * self.committed.template.size:
-                raise FloatingPointError(
-                    f"{name}: its grains have collapsed onto each other; take smaller steps, a"
-                    " stiffer contact law or a smaller time step"
-                )
-            self._capacity = max(self._capacity, capacity)
-            work = self._new_workspace()
+            self._make_more_room(name, 2 * work.pairs.i.size)
+            work = self._take_workspace()
         self._spaces.append(work)
 
-    def _new_workspace(self) -> Workspace:
+    def _take_workspace(self) -> Workspace:
+        """One with room for `_capacity` pairs that no other thread uses."""
+        while self._spaces:
+            try:
+                work = self._spaces.pop()
+            except IndexError:  # another thread took the last one
+                break
+            if work.pairs.i.size >= self._capacity:
+                return work
         viscous = self.material.viscosity is not None
         packing = self.committed.template
-        return workspace(packing.size, packing.dim, self._capacity, viscous)
+        memory = len(self.committed.memory[0]) if self.size else 0
+        return workspace(packing.size, packing.dim, self._capacity, viscous, memory)
+
+    def _make_more_room(self, name: str, capacity: int) -> None:
+        if capacity > MOST_PAIRS_PER_GRAIN * self.committed.template.size:
+            raise FloatingPointError(
+                f"{name}: its grains have collapsed onto each other; take smaller steps, a"
+                " stiffer contact law or a smaller time step"
+            )
+        self._capacity = max(self._capacity, capacity)

@@ -6,15 +6,25 @@ As in `disks`, with vectors for the tangential force and the spin.
 import math
 
 from .aliasing import arrays_do_not_overlap, kernel
+from .contacts.interface import (
+    attraction,
+    elastic_force,
+    holds,
+    kept_share,
+    rolling_limit,
+    rolling_stiffness,
+    stiffnesses,
+    strained_overlap,
+)
 from .disks import damped
 
 
 @kernel
 def pair_forces(
     count, box, gradient, dt, x, y, z, vx, vy, vz, wx, wy, wz, inverse_radius,
-    first, second, shift_x, shift_y, shift_z, reach, stiffness, dashpot,
-    tangent_x, tangent_y, tangent_z, normal_x, normal_y, normal_z,
-    stiffness_ratio, friction, cohesion, viscosity, projected, implicit,
+    first, second, shift_x, shift_y, shift_z, reach, coefficient, dashpot,
+    tangent_x, tangent_y, tangent_z, memory, normal_x, normal_y, normal_z,
+    law, friction, cohesion, viscosity, rolling, bonds, projected, implicit,
     force_x, force_y, force_z, moment_x, moment_y, moment_z,
 ):  # fmt: skip
     """Forces of all pairs on their grain j, Desrues eq. 20-26.
@@ -30,6 +40,8 @@ def pair_forces(
     l10, l11, l12 = gradient[1, 0], gradient[1, 1], gradient[1, 2]
     l20, l21, l22 = gradient[2, 0], gradient[2, 1], gradient[2, 2]
     spin_x, spin_y, spin_z = 0.5 * (l21 - l12), 0.5 * (l02 - l20), 0.5 * (l10 - l01)
+    last = memory.shape[0] - 1
+    bond = None if bonds is None else 0.0
     for c in range(count):
         i, j = first[c], second[c]
         sx, sy, sz = x[j] - x[i] + shift_x[c], y[j] - y[i] + shift_y[c], z[j] - z[i] + shift_z[c]
@@ -38,16 +50,22 @@ def pair_forces(
         bz = h20 * sx + h21 * sy + h22 * sz
         length = math.sqrt(bx * bx + by * by + bz * bz)
         nx, ny, nz = bx / length, by / length, bz / length
-        elastic = max(stiffness[c] * (reach[c] - length), 0.0)
-        normal = elastic
+        overlap = reach[c] - length
+        if bonds is not None:
+            bond = memory[last, c]
+        strained = strained_overlap(bonds, bond, overlap)
+        normal = elastic_force(law, bonds, coefficient[c], strained)
         if friction is not None or viscosity is not None:
+            k_n, k_t = stiffnesses(law, coefficient[c], abs(strained))
             ux = vx[j] - vx[i] + l00 * bx + l01 * by + l02 * bz
             uy = vy[j] - vy[i] + l10 * bx + l11 * by + l12 * bz
             uz = vz[j] - vz[i] + l20 * bx + l21 * by + l22 * bz
             along = ux * nx + uy * ny + uz * nz
         if viscosity is not None:
-            normal -= dashpot[c] * along if elastic > 0.0 else 0.0
+            normal -= dashpot[c] * math.sqrt(k_n) * along if strained != 0.0 else 0.0
         if friction is not None:
+            before = strained_overlap(bonds, bond, overlap + dt * along)
+            kept = kept_share(law, coefficient[c], strained, before)
             lever = length / reach[c]
             rx = lever * (wx[i] + wx[j]) + length * spin_x
             ry = lever * (wy[i] + wy[j]) + length * spin_y
@@ -59,7 +77,7 @@ def pair_forces(
             oy = 0.5 * (wy[i] * inverse_radius[i] + wy[j] * inverse_radius[j]) + spin_y
             oz = 0.5 * (wz[i] * inverse_radius[i] + wz[j] * inverse_radius[j]) + spin_z
             twist = dt * (ox * nx + oy * ny + oz * nz)
-            fx, fy, fz = tangent_x[c], tangent_y[c], tangent_z[c]
+            fx, fy, fz = kept * tangent_x[c], kept * tangent_y[c], kept * tangent_z[c]
             off = fx * nx + fy * ny + fz * nz
             if projected is not None or implicit is not None:
                 tx, ty, tz = fx - off * nx, fy - off * ny, fz - off * nz
@@ -68,12 +86,23 @@ def pair_forces(
                 ty = fy - off * normal_y[c]
                 tz = fz - off * normal_z[c]
                 normal_x[c], normal_y[c], normal_z[c] = nx, ny, nz
-            stretch = stiffness_ratio * stiffness[c] * dt
+            stretch = k_t * dt
             limit = friction * max(normal, 0.0)
             if implicit is not None:
                 tx, ty, tz = tx - stretch * slip_x, ty - stretch * slip_y, tz - stretch * slip_z
                 turned = 1.0 + twist * twist
                 squared = (tx * tx + ty * ty + tz * tz) / turned
+            else:
+                px = tx + twist * (ny * fz - nz * fy) - stretch * slip_x
+                py = ty + twist * (nz * fx - nx * fz) - stretch * slip_y
+                pz = tz + twist * (nx * fy - ny * fx) - stretch * slip_z
+                squared = px * px + py * py + pz * pz
+            if bonds is not None:
+                intact = bond > 0.0 and holds(bonds, normal, math.sqrt(squared), limit)
+                memory[last, c] = 1.0 if intact else 0.0
+                normal = normal if intact or overlap > 0.0 else 0.0
+                limit = 1e300 if intact else limit
+            if implicit is not None:
                 excess = turned * (squared / max(limit * limit, 1e-300) - 1.0)
                 grown = math.sqrt(1.0 + max(excess, 0.0))
                 scale = 1.0 / (grown * grown + twist * twist)
@@ -81,20 +110,31 @@ def pair_forces(
                 py = scale * (grown * ty + twist * (nz * tx - nx * tz))
                 pz = scale * (grown * tz + twist * (nx * ty - ny * tx))
                 cut = 1.0 if limit > 0.0 else 0.0
-                tx, ty, tz = cut * px, cut * py, cut * pz
             else:
-                px = tx + twist * (ny * fz - nz * fy) - stretch * slip_x
-                py = ty + twist * (nz * fx - nx * fz) - stretch * slip_y
-                pz = tz + twist * (nx * fy - ny * fx) - stretch * slip_z
-                size = math.sqrt(px * px + py * py + pz * pz)
-                cut = min(limit / max(size, 1e-300), 1.0)
-                tx, ty, tz = cut * px, cut * py, cut * pz
+                cut = min(limit / max(math.sqrt(squared), 1e-300), 1.0)
+            tx, ty, tz = cut * px, cut * py, cut * pz
             tangent_x[c], tangent_y[c], tangent_z[c] = tx, ty, tz
             moment_x[c] = lever * (ny * tz - nz * ty)
             moment_y[c] = lever * (nz * tx - nx * tz)
             moment_z[c] = lever * (nx * ty - ny * tx)
+        if rolling is not None:
+            arm = 1.0 / (inverse_radius[i] + inverse_radius[j])
+            rx = wx[j] * inverse_radius[j] - wx[i] * inverse_radius[i]
+            ry = wy[j] * inverse_radius[j] - wy[i] * inverse_radius[i]
+            rz = wz[j] * inverse_radius[j] - wz[i] * inverse_radius[i]
+            about = rx * nx + ry * ny + rz * nz
+            fx, fy, fz = kept * memory[0, c], kept * memory[1, c], kept * memory[2, c]
+            off = fx * nx + fy * ny + fz * nz
+            turn = dt * rolling_stiffness(rolling, k_t, arm)
+            px = fx - off * nx + twist * (ny * fz - nz * fy) - turn * (rx - about * nx)
+            py = fy - off * ny + twist * (nz * fx - nx * fz) - turn * (ry - about * ny)
+            pz = fz - off * nz + twist * (nx * fy - ny * fx) - turn * (rz - about * nz)
+            size = math.sqrt(px * px + py * py + pz * pz)
+            most = rolling_limit(rolling, max(normal, 0.0), arm)
+            cut = min(most / max(size, 1e-300), 1.0)
+            memory[0, c], memory[1, c], memory[2, c] = cut * px, cut * py, cut * pz
         if cohesion is not None:
-            normal -= cohesion if elastic > 0.0 else 0.0
+            normal -= attraction(cohesion, overlap)
         if friction is not None:
             force_x[c] = normal * nx + tx
             force_y[c] = normal * ny + ty
@@ -105,8 +145,9 @@ def pair_forces(
 
 @kernel
 def sum_forces(
-    row, second, force_x, force_y, force_z, moment_x, moment_y, moment_z, friction, grain
-):
+    row, second, force_x, force_y, force_z, moment_x, moment_y, moment_z, memory, inverse_radius,
+    friction, rolling, grain,
+):  # fmt: skip
     """Net force and moment of every grain."""
     arrays_do_not_overlap()
     grains = row.size - 1
@@ -131,6 +172,13 @@ def sum_forces(
                 mx -= moment_x[c]
                 my -= moment_y[c]
                 mz -= moment_z[c]
+            if rolling is not None:
+                grain[j, 4] += memory[0, c] * inverse_radius[j]
+                grain[j, 5] += memory[1, c] * inverse_radius[j]
+                grain[j, 6] += memory[2, c] * inverse_radius[j]
+                mx -= memory[0, c] * inverse_radius[i]
+                my -= memory[1, c] * inverse_radius[i]
+                mz -= memory[2, c] * inverse_radius[i]
         grain[i, 0], grain[i, 1], grain[i, 2] = fx, fy, fz
         grain[i, 4], grain[i, 5], grain[i, 6] = mx, my, mz
 

@@ -2,26 +2,41 @@
 
 import numpy as np
 
-from .homogenisation import touching
+from .homogenisation import elastic_response, touching
 from .packing import Packing
 
+#: Growth of an overlap that a time step must bear before it is computed anew.
+GROWTH = 2.0
 
-def stable_time_step(packing: Packing) -> float:
+
+def stable_time_step(packing: Packing, pressure: float = 0.0) -> float:
     """2 / omega_max of the network of touching grains (leapfrog's limit), s.
 
     omega_max is the highest frequency of the contact network with all contacts sticking, found by
-    power iteration on M^-1 K with K = sum of k_n n n and k_t t t over the contacts. Where nothing
+    power iteration on M^-1 K with K = sum of k_n n n, k_t t t and k_r over the contacts. Contacts
+    that stiffen are taken at `GROWTH` times their overlap, and at least at that of a mean contact
+    under `pressure` (Pa). Where nothing
     touches, the bound for a smallest grain amid five others like it is used instead (Fried's
     element bound). The network changes while a packing deforms, hence `Accuracy.time_step` < 1.
     """
     contacts = touching(packing)
+    least = packing.overlap_under(pressure)
     if len(contacts.pairs) == 0:
-        return _dilute_limit(packing)
+        return _dilute_limit(packing, GROWTH * least)
     i, j = contacts.pairs.T
     n = contacts.normals
     spinning = 0.5 if packing.dim == 2 else 0.4  # inertia over m R^2
-    kn = contacts.stiffness[:, None]
-    kt = packing.law.stiffness_ratio * kn if packing.law.friction > 0 else 0.0 * kn
+    _, kn, kt = elastic_response(
+        packing.law.elasticity,
+        contacts.coefficients,
+        GROWTH * np.maximum(np.abs(contacts.overlaps), least),
+    )
+    kn, kt = kn[:, None], kt[:, None] if packing.law.friction > 0 else 0.0 * kn[:, None]
+    radii = packing.radii[contacts.pairs]
+    inverse_i, inverse_j = 1.0 / radii.T[:, :, None]
+    kr = 0.0 * kn
+    if packing.law.rolling is not None:
+        kr = packing.law.rolling.rolling_stiffness(kt, 1.0 / (inverse_i + inverse_j))
     inverse_mass = (1.0 / packing.masses)[:, None]
     rng = np.random.default_rng(0)
     velocity = rng.normal(size=(packing.size, packing.dim))
@@ -31,11 +46,12 @@ def stable_time_step(packing: Packing) -> float:
         along = ((velocity[j] - velocity[i]) * n).sum(1)[:, None] * n
         slip = velocity[j] - velocity[i] - along - _cross(rim[i] + rim[j], n)
         force, moment = kn * along + kt * slip, kt * _cross(n, slip)
+        couple = kr * (rim[j] * inverse_j - rim[i] * inverse_i)
         velocity, rim = np.zeros_like(velocity), np.zeros_like(rim)
         np.add.at(velocity, j, force)
         np.subtract.at(velocity, i, force)
-        np.subtract.at(rim, i, moment)
-        np.subtract.at(rim, j, moment)
+        np.subtract.at(rim, i, moment + couple * inverse_i)
+        np.subtract.at(rim, j, moment - couple * inverse_j)
         velocity *= inverse_mass
         rim *= inverse_mass / spinning
         last, value = value, np.sqrt((velocity**2).sum() + (rim**2).sum())
@@ -56,9 +72,10 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return product
 
 
-def _dilute_limit(packing: Packing) -> float:
-    constant, modulus = packing.law.stiffnesses
-    kn = constant + modulus * packing.radii
-    kt = packing.law.stiffness_ratio * kn if packing.law.friction > 0 else 0.0
+def _dilute_limit(packing: Packing, overlap: float) -> float:
+    law, radii = packing.law.elasticity, packing.radii
+    coefficients = np.array([law.coefficient(radius, radius) for radius in radii])
+    _, kn, kt = elastic_response(law, coefficients, np.full(len(radii), overlap))
+    kt = kt if packing.law.friction > 0 else 0.0
     omega_squared = np.maximum(kn, 3.0 * kt) * 2.0 * 5.0 / packing.masses
     return float(2.0 / np.sqrt(omega_squared.max()))

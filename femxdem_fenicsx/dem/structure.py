@@ -49,14 +49,15 @@ def structure_of(packing: Packing) -> Structure:
 
     `bearing_coordination_number` leaves rattlers and their contacts out (0 if all are); `rattlers`
     is their share of the grains; `sliding` the share of the contacts whose tangential force is at
-    the Coulomb limit to 0.1 %; `largest_overlap` is over the mean diameter of the two grains.
+    the Coulomb limit to 0.1 % (bonds count as any contact); `largest_overlap` is over the mean
+    diameter of the two grains.
     """
     contacts = touching(packing)
     free = rattlers(packing, contacts)
     bearing = (~free[contacts.pairs].any(1)).sum()
     tangential = contacts.forces + contacts.normal_force[:, None] * contacts.normals
-    limit = packing.law.friction * np.abs(contacts.normal_force)
-    slides = np.linalg.norm(tangential, axis=1) > 0.999 * limit
+    limit = packing.law.friction * (contacts.normal_force + packing.law.cohesion)
+    slides = np.linalg.norm(tangential, axis=1) > 0.999 * np.maximum(limit, 0.0)
     reach = packing.radii[contacts.pairs].sum(1)
     return Structure(
         packing.void_ratio,

@@ -4,12 +4,15 @@ An operator takes the response and the last trial F (B, d, d) and returns C (B, 
 the derivative of the stress by F's last motion, d sigma = C : (dF F^-1); see `OPERATORS`.
 """
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 
-from . import dynamics, neighbours
+from . import dynamics
 from .aliasing import kernel
+from .contacts.interface import stiffnesses, strained_overlap
+from .loading import restore
 from .response import Response
 from .small import determinant
 
@@ -37,19 +40,20 @@ def upper_bound_kruyt(response: Response, F: np.ndarray) -> np.ndarray:
 
 @kernel
 def _uko(b, state, material, work, C):
-    work.motion.box[:] = state[0][b]
-    work.motion.position[:] = state[1][b]
-    box, position, pairs = work.motion.box, work.motion.position, work.pairs
-    count = neighbours.build(
-        box, position, material.radius, material.inverse_mass, material.stiffness,
-        material.modulus, material.viscosity, 0.0, pairs, work.grid,
-    )  # fmt: skip
-    if count < 0:
+    return _uko_with(b, state, material, work, C, material.bonds)
+
+
+@kernel
+def _uko_with(b, state, material, work, C, bonds):
+    restore(b, state, work)
+    if dynamics.start(material, work) != dynamics.OK:
         return dynamics.NO_ROOM
+    box, position, pairs = work.motion.box, work.motion.position, work.pairs
     c = C[b]
     dim = box.shape[0]
     e = np.empty(dim)
-    for k in range(count):
+    bond = None if bonds is None else 0.0
+    for k in range(pairs.first[-1]):
         i, j = pairs.i[k], pairs.j[k]
         squared = 0.0
         for p in range(dim):
@@ -57,8 +61,14 @@ def _uko(b, state, material, work, C):
             for q in range(dim):
                 e[p] += box[p, q] * (position[q, j] - position[q, i] + pairs.shift[q, k])
             squared += e[p] ** 2
-        kn = pairs.stiffness[k]
-        kt = 0.0 if material.friction is None else material.stiffness_ratio * kn
+        if bonds is not None:
+            bond = pairs.memory[-1, k]
+        strained = strained_overlap(bonds, bond, pairs.reach[k] - math.sqrt(squared))
+        if strained == 0.0:
+            continue
+        kn, kt = stiffnesses(material.law, pairs.coefficient[k], abs(strained))
+        if material.friction is None:
+            kt = 0.0
         for p in range(dim):
             for r in range(dim):
                 directed = (kn - kt) * e[p] * e[r] / squared + (kt if p == r else 0.0)

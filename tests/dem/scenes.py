@@ -61,7 +61,9 @@ class Moving:
         self.material = packing.material._replace(**material)
         viscous = self.material.viscosity is not None
         room = max(30, packing.size) * packing.size
-        self.work = dynamics.workspace(packing.size, packing.dim, room, viscous)
+        self.work = dynamics.workspace(
+            packing.size, packing.dim, room, viscous, len(packing.memory)
+        )
         self.work.motion.box[:] = packing.box
         self.work.motion.position[:] = packing.positions.T
         self.work.motion.velocity[:] = np.transpose(velocity)
@@ -70,6 +72,7 @@ class Moving:
         history.first[:] = batch.row[0]
         history.j[: batch.second.shape[1]] = batch.second[0]
         history.tangential[:, : batch.second.shape[1]] = batch.tangential[0]
+        history.memory[:, : batch.second.shape[1]] = batch.memory[0]
         assert dynamics.start(self.material, self.work) == dynamics.OK
 
     def advance(self, steps: int, dt: float, gradient=0.0, damping: float = 0.0) -> "Moving":
@@ -89,17 +92,15 @@ class Moving:
         """The packing as it stands."""
         remember(self.work.pairs, self.work.history)
         row = self.work.history.first.astype(int)
-        return self.packing.but(
+        history = self.work.history
+        first = np.repeat(np.arange(self.packing.size), np.diff(row))
+        return self.packing.with_contacts(
+            np.column_stack([first, history.j[: row[-1]]]),
+            history.tangential[:, : row[-1]],
+            history.memory[:, : row[-1]],
             box=self.work.motion.box,
             positions=self.work.motion.position.T,
-            contacts=np.column_stack(
-                [np.repeat(np.arange(self.packing.size), np.diff(row)),
-                 self.work.history.j[: row[-1]]]
-            ),
-            tangential=self.work.history.tangential[0, : row[-1]]
-            if self.packing.dim == 2
-            else self.work.history.tangential[:, : row[-1]].T,
-        )  # fmt: skip
+        )
 
     def listed(self) -> dict[tuple[int, int], int]:
         """Place in the pair list of every pair (i, j)."""

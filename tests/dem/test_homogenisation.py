@@ -137,7 +137,7 @@ def test_the_kernel_measures_what_the_arrays_say(cohesion):
     moving = Moving(packing).advance(300, 2e-5, [[0.5, 1.0], [0.0, -0.5]], 0.5)
     sigma, phi = np.ones((2, 2)), np.ones((2, 2))
     count, overlap = measure(
-        moving.work.motion, moving.work.pairs, moving.material.cohesion, packing.thickness,
+        moving.work.motion, moving.work.pairs, moving.material, packing.thickness,
         sigma, phi,
     )  # fmt: skip
     now = moving.now

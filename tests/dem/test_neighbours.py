@@ -52,7 +52,7 @@ def test_a_list_without_room_says_so():
     material = packing.material
     count = neighbours.build(
         packing.box, packing.positions.T.copy(), packing.radii, material.inverse_mass,
-        material.stiffness, material.modulus, None, material.skin, pairs, grid,
+        material.law, None, material.skin, pairs, grid,
     )  # fmt: skip
     assert count == -1
 
@@ -63,8 +63,8 @@ def test_stiffness_and_dashpot_of_a_pair_follow_the_contact_law():
     pairs, masses = Moving(packing).work.pairs, packing.masses
     stiffness = 2e7 * 2 * 4e-3 * 9e-3 / 13e-3  # Guo-Zhao eq. 14
     reduced = masses[0] * masses[1] / masses.sum()
-    assert pairs.stiffness[0] == pytest.approx(stiffness)
-    assert pairs.dashpot[0] == pytest.approx(2 * 0.3 * np.sqrt(stiffness * reduced))
+    assert pairs.coefficient[0] == pytest.approx(stiffness)
+    assert pairs.dashpot[0] == pytest.approx(2 * 0.3 * np.sqrt(reduced))  # times sqrt(k_n)
 
 
 def test_tangential_forces_survive_a_rebuild_and_those_of_parted_pairs_do_not():

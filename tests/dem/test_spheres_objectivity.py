@@ -85,10 +85,11 @@ def force_at_the_end(path: Path, frame: Frame, steps: int, law: LinearContact, b
     """
     friction, cohesion, viscosity = law.features
     projected, implicit = law.turning
-    pair = {"stiffness": STIFFNESS, "reach": RADII.sum(), "dashpot": 2.0}
+    pair = {"coefficient": STIFFNESS, "reach": RADII.sum(), "dashpot": 2.0}
     pair = {name: np.full(1, value) for name, value in pair.items()}
     first, second = np.array([0], np.uint32), np.array([1], np.uint32)
     shift, force, moment = np.zeros((3, 1)), np.zeros((3, 1)), np.zeros((3, 1))
+    memory = np.zeros((0, 1))
     R, _ = frame.at(0.0)
     branch = np.diff(path.at(0.0)[0], axis=0)[0]
     normal = (R @ branch / np.linalg.norm(branch))[:, None]
@@ -106,9 +107,10 @@ def force_at_the_end(path: Path, frame: Frame, steps: int, law: LinearContact, b
         spheres.pair_forces(
             1, np.ascontiguousarray(box), gradient, 1.0 / steps, *np.ascontiguousarray(position.T),
             *np.ascontiguousarray(velocity.T), *np.ascontiguousarray((RADII[:, None] * spin).T),
-            1.0 / RADII, first, second, *shift, pair["reach"], pair["stiffness"],
-            pair["dashpot"] if viscosity else None, *tangent, *normal, law.stiffness_ratio,
-            friction, cohesion, viscosity, projected, implicit, *force, *moment,
+            1.0 / RADII, first, second, *shift, pair["reach"], pair["coefficient"],
+            pair["dashpot"] if viscosity else None, *tangent, memory, *normal, law.elasticity,
+            friction, cohesion, viscosity, law.rolling, law.bonds, projected, implicit, *force,
+            *moment,
         )  # fmt: skip
     return R.T @ force[:, 0], R.T @ tangent[:, 0]
 
