@@ -20,6 +20,7 @@ from .dem.files import load_packing, save_packing
 from .dem.packing import Packing
 from .dem.preparation import random_packing
 from .dem.tangents import OPERATORS, operator
+from .double_stress import one_parameter
 from .fem.elements import element, names
 from .fem.problem import Convergence
 from .fem.quadrature_points import QuadraturePoints
@@ -28,6 +29,7 @@ from .homogenised_law import HomogenisedLaw
 if TYPE_CHECKING:
     from .distribution import DistributedLaw
 
+GRADIENTS = ("first", "second")
 
 #: What may change when a run is resumed: where it goes, how far, and how it is solved. The packing
 #: is compared by what is in it.
@@ -49,13 +51,20 @@ def parser(description: str) -> argparse.ArgumentParser:
 def add_discretisation(
     specimen, dim: int, cells: Sequence[int], kind: str, formulations: Sequence[str]
 ) -> None:
-    """--mesh, --element, --points and --formulation, into the group of the specimen."""
+    """--mesh, --element, --points, --formulation and --gradient, into the group of the specimen."""
     axes = ("NX", "NY", "NZ")[:dim]
     *others, last = names(dim)
     specimen.add_argument("--mesh", type=int, nargs=dim, default=tuple(cells), metavar=axes)
     specimen.add_argument("--element", default=kind, help=f"{', '.join(others)} or {last}")
     specimen.add_argument("--points", help="quadrature, e.g. 3x3  (default: the element's)")
     specimen.add_argument("--formulation", default="finite", help=", ".join(formulations))
+    specimen.add_argument("--gradient", default="first", help=", ".join(GRADIENTS))
+    specimen.add_argument(
+        "--second-gradient-modulus",
+        type=float,
+        metavar="D",
+        help="N, with --gradient second  (the internal length goes with its square root)",
+    )
 
 
 def add_grains(parser: argparse.ArgumentParser, count: int, noun: str) -> argparse._ArgumentGroup:
@@ -150,6 +159,7 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
         known = ", ".join(formulations)
         raise ValueError(f"unknown formulation '{args.formulation}'; choose from {known}")
     element(args.element, args.points).check_dim(dim)
+    _check_gradient(args, dim)
     accuracy_of(args)
     operator(args.operator)
     if not 0 < args.step <= args.strain < 1:
@@ -186,6 +196,22 @@ CONTACT_LAWS = {
         shear_modulus=args.shear_modulus, poisson_ratio=args.poisson_ratio, **shared
     ),
 }
+
+
+def _check_gradient(args: argparse.Namespace, dim: int) -> None:
+    modulus = args.second_gradient_modulus
+    if args.gradient not in GRADIENTS:
+        raise ValueError(f"unknown gradient '{args.gradient}'; choose from {', '.join(GRADIENTS)}")
+    if args.gradient == "first":
+        if modulus is not None:
+            raise ValueError("--second-gradient-modulus needs --gradient second")
+        return
+    if modulus is None:
+        raise ValueError("--gradient second needs --second-gradient-modulus D, in N")
+    one_parameter(modulus, dim)
+    element(args.element, args.points).check_second_gradient()
+    if dim == 3 and args.formulation != "small":
+        raise ValueError("second gradient in 3D: use --formulation small")
 
 
 def packing_for(args: argparse.Namespace, comm: MPI.Comm, dim: int) -> Packing:

@@ -259,3 +259,68 @@ class Softening(_Analytic):
         return intact[:, None, None, None, None] * self._stiffness + np.einsum(
             "n,nij,nkl->nijkl", slope, elastic, strain
         )
+
+
+class ShearSoftening(_Analytic):
+    """Damage in shear alone, which makes shear bands: stress = k tr(e) I + 2 G (1 - D) dev e.
+
+    e is the strain, small and summed over the steps, k = lambda + 2 G / d. With kappa the largest
+    norm of dev e so far, 1 - D = (k0 / kappa) exp((1 - kappa / k0) / m) from kappa = k0 on: the
+    deviator of the stress rises linearly up to there and falls exponentially behind it.
+
+    Args:
+        size: number of points.
+        young: Young's modulus, Pa.
+        poisson: Poisson's ratio.
+        threshold: k0, the norm of dev e at the peak; one value, or one per point (size,).
+        ductility: m; behind the peak the curve falls with the slope of the rise over m.
+        dim: 2 or 3.
+    """
+
+    def __init__(
+        self, size: int, young: float, poisson: float, threshold, ductility: float, dim: int = 2
+    ):
+        lame, self._shear = _lame(young, poisson)
+        self._bulk = lame + 2 * self._shear / dim
+        self._threshold = np.broadcast_to(np.asarray(threshold, dtype=float), (size,)).copy()
+        self._ductility = ductility
+        if not ((self._threshold > 0).all() and ductility > 0):
+            raise ValueError(
+                f"softening threshold {self._threshold.min()}, ductility {ductility}: both must be "
+                "positive"
+            )
+        super().__init__(dim, strain=np.zeros((size, dim, dim)), kappa=self._threshold)
+
+    @property
+    def deviatoric_strain(self) -> np.ndarray:
+        """Committed norm of dev e, (n,)."""
+        return np.linalg.norm(self._deviator(self._state["strain"]), axis=(1, 2))
+
+    def evaluate(self, F: np.ndarray) -> np.ndarray:
+        delta = np.eye(self.dim)
+        strain = self._state["strain"] + 0.5 * (F + F.transpose(0, 2, 1)) - delta
+        deviator = self._deviator(strain)
+        kappa = np.maximum(self._state["kappa"], np.linalg.norm(deviator, axis=(1, 2)))
+        ratio = kappa / self._threshold
+        intact = np.exp((1 - ratio) / self._ductility) / ratio
+        self._trial = {"strain": strain, "kappa": kappa}
+        self._last = (deviator, kappa, intact)
+        mean = np.trace(strain, axis1=1, axis2=2)[:, None, None] * delta
+        return self._bulk * mean + 2 * self._shear * intact[:, None, None] * deviator
+
+    def _deviator(self, strain: np.ndarray) -> np.ndarray:
+        trace = np.trace(strain, axis1=1, axis2=2)[:, None, None]
+        return strain - trace * np.eye(self.dim) / self.dim
+
+    def tangent(self) -> np.ndarray:
+        deviator, kappa, intact = self._last
+        delta, grows = np.eye(self.dim), kappa > self._state["kappa"]
+        spheric = np.einsum("ij,kl->ijkl", delta, delta)
+        symmetric = np.einsum("ik,jl->ijkl", delta, delta) + np.einsum("il,jk->ijkl", delta, delta)
+        fall = intact * (1 / (self._ductility * self._threshold) + 1 / kappa) / kappa
+        slope = np.where(grows, -fall, 0.0)
+        return (
+            self._bulk * spheric
+            + self._shear * intact[:, None, None, None, None] * (symmetric - 2 / self.dim * spheric)
+            + 2 * self._shear * np.einsum("n,nij,nkl->nijkl", slope, deviator, deviator)
+        )

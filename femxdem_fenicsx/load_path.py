@@ -185,7 +185,10 @@ class _Journal:
 
 
 def parts_of(scene: Scene) -> dict[str, Part]:
-    """What a checkpoint holds: the mesh's motion by cell, the law by point, and the scene's own."""
+    """What a checkpoint holds: the mesh's motion by cell, the law by point, and the scene's own.
+
+    By point too: what the weak form remembers.
+    """
     points, law = scene.problem.operator.points, scene.problem.operator.law
     numbers = getattr(law, "numbers", None)  # of distributed packings, which are not at home here
     by_point = (lambda: points.index) if numbers is None else (lambda: law.numbers)
@@ -193,6 +196,10 @@ def parts_of(scene: Scene) -> dict[str, Part]:
     return {
         "problem": Part(scene.problem, lambda: cells[points.cells], lambda: cells),
         "law": Part(law, by_point, by_point),
+        **{
+            state.name: Part(state, lambda: points.index, lambda: points.index)
+            for state in scene.problem.operator.states
+        },
         **(scene.parts or {}),
     }
 

@@ -99,6 +99,11 @@ def serendipity_element(shape: tuple[int, ...] = ()):
     return basix.ufl.blocked_element(scalar, shape) if shape else scalar
 
 
+def mixed_element(elements: Sequence):
+    """Element of functions that are solved for together."""
+    return ufl.MixedElement(elements) if UFL_ELEMENTS else basix.ufl.mixed_element(elements)
+
+
 def _element(family: str, cell: str, degree: int, shape: tuple[int, ...]):
     if UFL_ELEMENTS:
         return _ufl_element(family, cell, degree, shape)

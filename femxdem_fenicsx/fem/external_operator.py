@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from dolfinx import fem
 
 from ..collective import Interrupted, together
 from ..law import InadmissibleDeformation, Law
-from . import _dolfinx
+from .point_state import PointState
 from .quadrature_points import QuadraturePoints
 
 
@@ -19,6 +19,7 @@ class ExternalOperator:
     Attributes:
         law: what computes the stress.
         points: its points.
+        states: what the weak form remembers beside the law.
         stress: Cauchy stress, quadrature function (d, d), Pa.
         tangent: C, quadrature function (d*d, d*d), Pa.
         evaluations: how often the law was evaluated.
@@ -30,26 +31,31 @@ class ExternalOperator:
         points: where to evaluate.
         largest_increment: of a component of F - I in one step; an iterate beyond it went astray,
             and a law of grains would be long in following it.
+        states: what the weak form itself remembers; they live and are kept with the law's.
 
     Raises:
         ValueError: the law has another dimension or number of points.
     """
 
     def __init__(
-        self, deformation_gradient, law: Law, points: QuadraturePoints, largest_increment=0.5
+        self,
+        deformation_gradient,
+        law: Law,
+        points: QuadraturePoints,
+        largest_increment: float = 0.5,
+        states: Sequence[PointState] = (),
     ):
-        self.law, self.points = law, points
+        self.law, self.points, self.states = law, points, tuple(states)
         self._largest = largest_increment
         mesh = points.mesh
         d = mesh.geometry.dim
         together(mesh.comm, self._check_law, d)
         self._shape = (points.size, d, d)
         self._F = fem.Expression(deformation_gradient, points.reference)
-        self.stress = self._function((d, d))
-        self.tangent = self._function((d * d, d * d))
+        self.stress = points.function((d, d))
+        self.tangent = points.function((d * d, d * d))
         self.stress.name, self.tangent.name = "stress", "tangent"
-        dofs = _dolfinx.dofmap(self.stress.function_space)
-        self._dofs = dofs[: len(points.cells)].ravel()
+        self._rows = points.rows(self.stress)
         self.evaluations = 0
         self.interrupted: Callable[[], bool] = lambda: False
 
@@ -59,11 +65,6 @@ class ExternalOperator:
                 f"the law has {self.law.size} points in {self.law.dim}D, the mesh has "
                 f"{self.points.size} in {d}D on this rank: make the law with points.size"
             )
-
-    def _function(self, shape: tuple[int, int]) -> fem.Function:
-        element = self.points.element
-        quadrature = _dolfinx.quadrature_element(element.cell, element.quadrature_degree, shape)
-        return fem.Function(_dolfinx.functionspace(self.points.mesh, quadrature))
 
     def evaluate(self) -> None:
         """Bring `stress` up to date with u.
@@ -103,9 +104,19 @@ class ExternalOperator:
         """Bring `tangent` up to date with the last trial of the law."""
         self._set(self.tangent, together(self.points.mesh.comm, self.law.tangent))
 
+    def commit(self) -> None:
+        """Make the last trial the state of the law, and of the form's own states."""
+        for state in self.states:
+            state.commit()
+        self.law.commit()
+
+    def discard(self) -> None:
+        """Forget the last trial."""
+        self.law.discard()
+
     def _set(self, function: fem.Function, values: np.ndarray) -> None:
         """Values at owned points; the ghosts get those of their owners."""
-        function.x.array.reshape(-1, self._block(function))[self._dofs] = values.reshape(
+        function.x.array.reshape(-1, self._block(function))[self._rows] = values.reshape(
             self.points.size, -1
         )
         function.x.scatter_forward()

@@ -101,13 +101,14 @@ class Problem:
     Attributes:
         snes: PETSc's solver, options prefix `femxdem_`; its command line options win over our
             defaults (see :mod:`femxdem_fenicsx.fem.options`).
-        u: displacement of the step, m, on the geometry at its start.
+        u: displacement of the step, m, on the geometry at its start; or a function of a mixed
+            space that begins with it, in units of displacement too.
         operator: the external operator in the forms.
         motion: moves the mesh, and holds the total displacement.
         convergence: the criteria.
 
     Args:
-        u: displacement function.
+        u: displacement function, or a mixed one that begins with it.
         residual: UFL form, internal minus external forces.
         jacobian: UFL form, its derivative.
         operator: the external operator whose stress and tangent are in the forms.
@@ -211,7 +212,7 @@ class Problem:
         The law commits what it computed at this very u.
         """
         self._evaluate_at_u()
-        together(self._comm, self.operator.law.commit)
+        together(self._comm, self.operator.commit)
         self.motion.move()
         self._last_step = (step, self.u.x.array[: self._size].copy())
         self.u.x.array[:] = 0.0
@@ -219,7 +220,7 @@ class Problem:
 
     def reject(self) -> None:
         """Forget the trial; u is zero again."""
-        together(self._comm, self.operator.law.discard)
+        together(self._comm, self.operator.discard)
         self.u.x.array[:] = 0.0
         self._now = None
 
