@@ -34,7 +34,7 @@ GRADIENTS = ("first", "second")
 #: What may change when a run is resumed: where it goes, how far, and how it is solved. The packing
 #: is compared by what is in it.
 FREE = (
-    "output", "quiet", "resume", "checkpoint_every", "checkpoint_fails", "threads", "packing",
+    "defaults", "output", "quiet", "resume", "checkpoint_every", "checkpoint_fails", "threads", "packing",
     "strain", "step", "tolerance", "displacement_tolerance", "looser_tolerance", "max_iterations",
 )  # fmt: skip
 
@@ -277,6 +277,7 @@ def saving_of(args: argparse.Namespace, law: HomogenisedLaw | DistributedLaw) ->
         checkpoint_folder(args),
         scene | {"accuracy": str(accuracy_of(args))},
         packing,
+        {name: str(value) for name, value in getattr(args, "defaults", {}).items()},
         args.checkpoint_every,
         args.resume,
         args.checkpoint_fails == "stop",
