@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,8 +33,9 @@ GRADIENTS = ("first", "second")
 #: What may change when a run is resumed: where it goes, how far, and how it is solved. The packing
 #: is compared by what is in it.
 FREE = (
-    "output", "quiet", "resume", "checkpoint_every", "checkpoint_fails", "threads", "packing",
-    "strain", "step", "tolerance", "displacement_tolerance", "looser_tolerance", "max_iterations",
+    "defaults", "output", "quiet", "resume", "checkpoint_every", "checkpoint_fails", "threads",
+    "packing", "strain", "step", "tolerance", "displacement_tolerance", "looser_tolerance",
+    "max_iterations",
 )  # fmt: skip
 
 
@@ -225,15 +226,24 @@ def saving_of(args: argparse.Namespace, law: HomogenisedLaw | DistributedLaw) ->
         path = Path(folder, "packing.h5")
         save_packing(path, law.response.committed.template)
         packing = path.read_bytes()
-    scene = {name: str(value) for name, value in vars(args).items() if name not in FREE}
+    scene = {name: value for name, value in vars(args).items() if name not in FREE}
     return Saving(
         checkpoint_folder(args),
-        scene | {"accuracy": str(accuracy_of(args))},
+        _told(scene | {"accuracy": accuracy_of(args)}),
         packing,
+        _told(getattr(args, "defaults", {})),
         args.checkpoint_every,
         args.resume,
         args.checkpoint_fails == "stop",
     )
+
+
+def _told(values: Mapping[str, object]) -> dict[str, str]:
+    """Values as text; a default tuple is the same as a list that was given."""
+    return {
+        name: str(list(value) if isinstance(value, tuple) else value)
+        for name, value in values.items()
+    }
 
 
 def accuracy_of(args: argparse.Namespace) -> Accuracy:

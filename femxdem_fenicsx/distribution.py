@@ -23,7 +23,7 @@ from .law import Law
 
 #: Steps of a packing's DEM that take as long as sending it to another rank, and as copying one
 #: that stays into new arrays, which is done whenever the rank's packings change (docs/cluster.md).
-STEPS_PER_MOVE, STEPS_PER_STAY = 20.0, 4.0
+STEPS_PER_MOVE, STEPS_PER_STAY = 20.0, 5.0
 #: Evaluations within which a move must pay.
 EVALUATIONS_TO_PAY = 10
 #: A placement stands while the busiest rank has at most this over the mean.

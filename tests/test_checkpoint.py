@@ -83,7 +83,7 @@ def whole(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    "trouble, code", [("kill=41", -signal.SIGKILL), ("term=41", 128 + signal.SIGTERM)]
+    "trouble, code", [("kill=41", -signal.SIGKILL), ("term=54", 128 + signal.SIGTERM)]
 )
 def test_a_run_that_was_stopped_and_resumed_has_the_same_history_and_fields(
     whole, tmp_path, trouble, code
@@ -254,6 +254,16 @@ def test_another_scene_is_refused_with_what_differs(whole):
     assert history(whole) == before
 
 
+def test_an_option_that_an_older_program_did_not_know_must_have_its_default(tmp_path):
+    write(tmp_path, 3, scene={"mesh": [2, 4]})
+    saved = Checkpoint.last(SELF, tmp_path)
+    scene, defaults = {"mesh": (2, 4), "gradient": "first"}, {"gradient": "first"}
+    saved.check_scene(Saving(tmp_path, scene, defaults=defaults))
+    for other in (scene | {"gradient": "second"}, {"gradient": "first"}):
+        with pytest.raises(ValueError, match="the checkpoint of another run"):
+            saved.check_scene(Saving(tmp_path, other, defaults=defaults))
+
+
 def test_a_run_at_its_end_and_one_without_checkpoint_do_not_go_on(whole, tmp_path):
     run = specimen(whole, END, "--resume")
     assert run.returncode == 2 and "is reached already" in run.stderr
@@ -300,7 +310,7 @@ def test_files_that_may_not_grow_stop_the_checkpoints_and_the_run_if_so_asked(tm
 def test_a_failure_on_one_rank_ends_both_with_its_message(tmp_path, where):
     run = run_on_ranks(2, MODULE, "specimen", str(tmp_path), END, f"{where}=3", timeout=60)
     assert run.returncode != 0
-    told = [line for line in run.stderr.splitlines() if line.startswith("error: ")]
+    told = [line for line in run.stderr.splitlines() if line.strip().startswith("error: ")]
     assert len(told) == 1, run.stderr
     assert f"no room in the {where}" in told[0]
     assert ("on rank 1" in told[0]) == (where != "output")

@@ -314,10 +314,10 @@ class Problem:
     def _assemble_jacobian(self, snes, x: PETSc.Vec, matrix: PETSc.Mat, preconditioner) -> None:
         try:
             self.operator.evaluate_tangent()
+            _dolfinx.assemble_matrix(preconditioner, self._jacobian, self.bcs)
         except Exception as error:
             self._failure = error
             raise
-        _dolfinx.assemble_matrix(preconditioner, self._jacobian, self.bcs)
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         reason = PETSc.SNES.ConvergedReason
