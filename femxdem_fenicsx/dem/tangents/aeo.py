@@ -22,17 +22,20 @@ class AuxiliaryElastic:
         self.memory: dict[str, np.ndarray] = {}
         self._step = -1
 
+    def start(self, size: int, dim: int) -> None:
+        """Remember nothing of that many packings."""
+        self.memory["tangents"] = np.zeros((size, STEPS, *[dim] * 4))
+        self.memory["seen"] = np.zeros(size, np.int64)
+
     def __call__(self, response: Response, F: np.ndarray) -> np.ndarray:
-        B, dim = response.size, F.shape[-1]
         if not self.memory:
-            self.memory["tangents"] = np.zeros((B, STEPS, *[dim] * 4))
-            self.memory["seen"] = np.zeros(B, np.int64)
+            self.start(response.size, F.shape[-1])
         tangents, seen = self.memory["tangents"], self.memory["seen"]
         new_step = response.commits != self._step
-        if B == 0 or (seen == STEPS).all() and new_step:
+        if (seen == STEPS).all() and new_step:
             return tangents.mean(1)
         seen += new_step
         self._step = response.commits
         C = consistent_tangent(response, F)
-        tangents[range(B), seen - 1] = C
+        tangents[range(len(seen)), seen - 1] = C
         return C

@@ -22,15 +22,20 @@ class _Calibrated:
     def __init__(self):
         self.memory: dict[str, np.ndarray] = {}
 
+    def start(self, size: int, dim: int) -> None:
+        """Remember nothing of that many packings."""
+        self.memory["factors"] = np.zeros((size, 2))
+
     def __call__(self, response: Response, F: np.ndarray) -> np.ndarray:
         if not self.memory:
-            self.memory["factors"] = np.zeros((response.size, 2))
+            self.start(response.size, F.shape[-1])
         factors = self.memory["factors"]
         strain = np.linalg.norm(F - np.eye(F.shape[-1]), axis=(1, 2))
-        if not factors.any() and strain.max(initial=0.0) >= LEAST_STRAIN:
-            by_parts = [affine(response, 1.0, 0.0), affine(response, 0.0, 1.0)]
-            factors[:] = self.calibrate(consistent_tangent(response, F), *by_parts)
-        now = factors if factors.any() else np.ones_like(factors)
+        new = ~factors.any(1) & (strain >= LEAST_STRAIN)
+        if new.any():
+            by_parts = [affine(response, 1.0, 0.0)[new], affine(response, 0.0, 1.0)[new]]
+            factors[new] = self.calibrate(consistent_tangent(response, F)[new], *by_parts)
+        now = np.where(factors.any(1)[:, None], factors, 1.0)
         return affine(response, now[:, 0], now[:, 1])
 
     def calibrate(self, C: np.ndarray, normal: np.ndarray, tangential: np.ndarray) -> np.ndarray:
