@@ -36,8 +36,8 @@ GRADIENTS = ("first", "second")
 #: is compared by what is in it, the accuracy by its numbers.
 FREE = (
     "defaults", "output", "quiet", "resume", "checkpoint_every", "checkpoint_fails", "threads",
-    "packing", "accuracy", "time_step", "strain", "step", "tolerance", "displacement_tolerance", "looser_tolerance",
-    "max_iterations",
+    "packing", "accuracy", "time_step", "strain", "step", "tolerance", "displacement_tolerance",
+    "looser_tolerance", "max_iterations",
 )  # fmt: skip
 
 
