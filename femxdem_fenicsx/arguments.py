@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from mpi4py import MPI
 
-from . import script
+from . import contact_arguments, script
 from .checkpoint import Checkpoint, Saving
 from .collective import together
 from .dem.accuracy import PRESETS, Accuracy, preset
-from .dem.contacts import Bonds, ContactLaw, HertzMindlin, LinearContact, RollingResistance
 from .dem.files import load_packing, save_packing
 from .dem.packing import Packing
 from .dem.preparation import random_packing
@@ -78,27 +77,7 @@ def add_grains(parser: argparse.ArgumentParser, count: int, noun: str) -> argpar
         "--radii", type=float, nargs=2, default=(3e-3, 7e-3), metavar=("MIN", "MAX"), help="m"
     )
     grains.add_argument("--seed", type=int, default=1)
-    grains.add_argument(
-        "--contact-law", default="linear", help=f"elasticity: {', '.join(CONTACT_LAWS)}"
-    )
-    grains.add_argument(
-        "--friction", type=float, default=float(np.tan(0.5)), help="of the contacts"
-    )
-    grains.add_argument("--modulus", type=float, default=6e8, help="E_c of linear contacts, Pa")
-    grains.add_argument("--stiffness-ratio", type=float, default=0.8, help="their k_t / k_n")
-    grains.add_argument("--shear-modulus", type=float, default=4e9, help="G for hertz, Pa")
-    grains.add_argument("--poisson-ratio", type=float, default=0.2, help="nu for hertz")
-    grains.add_argument("--cohesion", type=float, default=0.0, help="of a contact, N")
-    grains.add_argument(
-        "--rolling-friction", type=float, help="largest rolling moment over r f_n  (default: none)"
-    )
-    grains.add_argument(
-        "--bonds",
-        type=float,
-        nargs=2,
-        metavar=("TENSION", "SHEAR"),
-        help="strength of cement between grains that touch, N  (default: none)",
-    )
+    contact_arguments.add_contact_law(grains)
     grains.add_argument(
         "--compaction-friction", type=float, default=0.0, help="0: dense, 0.2: loose"
     )
@@ -174,32 +153,6 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
         raise ValueError(f"--checkpoint-every {args.checkpoint_every}: it must be 1 or more")
 
 
-def contact_law_for(args: argparse.Namespace) -> ContactLaw:
-    """The contact law that was asked for; ValueError for values that make none."""
-    rolling, bonds = args.rolling_friction, args.bonds
-    shared = {
-        "friction": args.friction,
-        "cohesion": args.cohesion,
-        "rolling": None if rolling is None else RollingResistance(rolling),
-        "bonds": None if bonds is None else Bonds(*bonds),
-    }
-    if args.contact_law not in CONTACT_LAWS:
-        known = ", ".join(CONTACT_LAWS)
-        raise ValueError(f"unknown contact law '{args.contact_law}'; choose from {known}")
-    return CONTACT_LAWS[args.contact_law](args, shared)
-
-
-#: Elastic laws by name, from arguments and what all laws share.
-CONTACT_LAWS = {
-    "linear": lambda args, shared: LinearContact(
-        modulus=args.modulus, stiffness_ratio=args.stiffness_ratio, **shared
-    ),
-    "hertz": lambda args, shared: HertzMindlin(
-        shear_modulus=args.shear_modulus, poisson_ratio=args.poisson_ratio, **shared
-    ),
-}
-
-
 def _check_gradient(args: argparse.Namespace, dim: int) -> None:
     modulus = args.second_gradient_modulus
     if args.gradient not in GRADIENTS:
@@ -242,7 +195,7 @@ def packing_for(args: argparse.Namespace, comm: MPI.Comm, dim: int) -> Packing:
         return random_packing(
             args.grains,
             args.radii,
-            contact_law_for(args),
+            contact_arguments.contact_law_for(args),
             args.pressure,
             args.compaction_friction,
             args.seed,
