@@ -148,3 +148,14 @@ def stays_out_of_line(typingctx):
         return context.get_dummy_value()
 
     return types.void(), generate
+
+
+@intrinsic
+def next_ticket(typingctx, tickets):
+    """tickets[0]++ of an int64 array (1,), returning the old value; safe among threads."""
+
+    def generate(context, builder, signature, args):
+        array = context.make_array(signature.args[0])(context, builder, args[0])
+        return builder.atomic_rmw("add", array.data, ir.Constant(ir.IntType(64), 1), "monotonic")
+
+    return types.int64(tickets), generate

@@ -7,7 +7,7 @@ import numpy as np
 
 from . import dynamics
 from .accuracy import Accuracy
-from .aliasing import kernel
+from .aliasing import kernel, next_ticket
 from .dynamics import NO_ROOM, OK
 from .homogenisation import measure
 from .neighbours import remember
@@ -96,7 +96,10 @@ def logarithm(F: np.ndarray) -> np.ndarray:
     root, halvings = F.copy(), np.zeros((*F.shape[:-2], 1, 1))
     far = np.abs(root - identity).max((-2, -1)) > 0.1
     while far.any():  # the roots of one F must not depend on the others
-        root[far] = _square_root(root[far])
+        try:
+            root[far] = _square_root(root[far])
+        except np.linalg.LinAlgError:  # exactly 180 degrees
+            raise half_turn from None
         halvings[far] += 1
         if halvings.max() > 12 or not np.isfinite(root).all():
             raise half_turn
@@ -229,3 +232,26 @@ def deform(
     outcome.loading_steps[row], outcome.hold_steps[row] = steps, held
     outcome.unbalance[row], outcome.at_rest[row] = ratio, at_rest
     return OK
+
+
+@kernel
+def deform_in_turn(
+    tickets, order, packings, places, F, log_F, shear, pressure, time_step, material, loading,
+    state, new, outcome, status, work,
+):  # fmt: skip
+    """Deform rows of `order`, each the next that no other thread has taken, until none is left.
+
+    The threads of a process all call this with the same `tickets` (1,) at zero and with a work
+    space of their own. Row r is packing `packings[r]`, goes to `places[r]` of `new`, and leaves
+    what `deform` returns in `status[r]`.
+    """
+    while True:
+        turn = next_ticket(tickets)
+        if turn >= order.size:
+            return
+        r = order[turn]
+        b = packings[r]
+        status[r] = deform(
+            b, F[r], log_F[r], shear[r], pressure[b], time_step[b], material, loading, state, new,
+            places[r], outcome, r, work,
+        )  # fmt: skip

@@ -8,9 +8,9 @@ from concurrent.futures import ThreadPoolExecutor, wait
 import numpy as np
 
 from .accuracy import Accuracy
-from .dynamics import OK, Workspace, workspace
+from .dynamics import NO_ROOM, OK, Workspace, workspace
 from .homogenisation import fabric, largest_overlap, stress, touching
-from .loading import Outcome, deform, logarithm, pressure_of, settings, shear_of
+from .loading import Outcome, deform_in_turn, logarithm, pressure_of, settings, shear_of
 from .packing import PAIRS_PER_GRAIN, Packing, PackingBatch
 
 #: A packing with more pairs than that per grain has collapsed.
@@ -62,7 +62,7 @@ class Response:
         self._spaces: deque[Workspace] = deque()
         self._scratch: deque[tuple[np.ndarray, ...]] = deque()
         self._capacity = PAIRS_PER_GRAIN[packing.dim] * packing.size
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
         contacts = touching(packing)
         overlap = largest_overlap(contacts, packing)
         warn_of_overlaps(overlap)
@@ -132,24 +132,27 @@ class Response:
         self._check_room(F @ self.committed.box[packings], packings)
         shear = shear_of(log_F)
         outcome = Outcome.of(len(packings), self.committed.template.dim)
-        state = self.committed.state
+        places = np.zeros_like(packings) if new is None else packings
+        status = np.full(len(packings), NO_ROOM)
+        waiting = np.argsort(-self._cost[packings], kind="stable")  # expensive ones first
+        while len(waiting):
+            tickets = np.zeros(1, np.int64)
 
-        def one(row: int) -> None:
-            b = packings[row]
-            scratch = self._scratch_state() if new is None else None
-            target, place = (scratch, 0) if new is None else (new, b)
-            self.with_workspace(
-                lambda work: deform(
-                    b, F[row], log_F[row], shear[row], self.pressure[b], self.time_step[b],
-                    self.material, self.loading, state, target, place, outcome, row, work,
-                ),
-                f"packing {b}",
-            )  # fmt: skip
-            if scratch is not None:
-                self._scratch.append(scratch)
+            def work(waiting=waiting, tickets=tickets) -> None:
+                space, target = self._take_workspace(), self._take_state() if new is None else new
+                deform_in_turn(
+                    tickets, waiting, packings, places, F, log_F, shear, self.pressure,
+                    self.time_step, self.material, self.loading, self.committed.state, target,
+                    outcome, status, space,
+                )  # fmt: skip
+                self._spaces.append(space)
+                if new is None:
+                    self._scratch.append(target)
 
-        expensive_first = np.argsort(-self._cost[packings], kind="stable")
-        self.for_each(one, expensive_first)
+            self._on_threads(work, len(waiting))
+            waiting = waiting[status[waiting] != OK]
+            if len(waiting):
+                self._make_more_room(f"packing {packings[waiting].min()}", 2 * self._capacity)
         wrong = np.flatnonzero(~np.isfinite(outcome.stress).all((1, 2)))
         if len(wrong):
             raise FloatingPointError(
@@ -157,7 +160,7 @@ class Response:
             )
         return outcome
 
-    def _scratch_state(self) -> tuple[np.ndarray, ...]:
+    def _take_state(self) -> tuple[np.ndarray, ...]:
         """Arrays of a batch of one, for a state that nobody wants.
 
         Probing by the same compiled kernel as deforming gives the same bits.
@@ -187,38 +190,68 @@ class Response:
             )
 
     def for_each(self, task: Callable[[int], None], order: np.ndarray) -> None:
-        """Run task(k) for every k of `order`, on all threads; the first error is raised."""
-        if self._pool is None:
-            for k in order:
-                task(int(k))
-            return
-        running = [self._pool.submit(task, int(k)) for k in order]
-        wait(running)  # all of them, also after an error: they write to shared arrays
-        for future in running:
-            future.result()
+        """Run task(k) for every k of `order`, on all threads.
+
+        All are run, also after an error: they write to shared arrays. Then the error of the first
+        one in `order` is raised.
+        """
+        waiting = deque(enumerate(order.tolist()))
+        errors: list[tuple[int, Exception]] = []
+
+        def work() -> None:
+            while waiting:
+                try:
+                    place, k = waiting.popleft()
+                except IndexError:  # another thread took the last one
+                    return
+                try:
+                    task(k)
+                except Exception as error:
+                    errors.append((place, error))
+
+        self._on_threads(work, len(order))
+        if errors:
+            raise min(errors, key=lambda pair: pair[0])[1]
+
+    def _on_threads(self, work: Callable[[], None], most: int) -> None:
+        """Call work() on this thread and on the others, on at most so many in all."""
+        helpers = [self._pool.submit(work) for _ in range(min(self.threads, most) - 1)]
+        try:
+            work()
+        finally:
+            wait(helpers)
+        for helper in helpers:
+            helper.result()
 
     def with_workspace(self, compute: Callable[[Workspace], int], name: str) -> None:
         """Call compute(work) with a work space that no other thread uses, a larger one if need be.
 
         Raises FloatingPointError where even a very large one does not do.
         """
-        try:
-            work = self._spaces.pop()
-        except IndexError:
-            work = self._new_workspace()
+        work = self._take_workspace()
         while compute(work) != OK:
-            capacity = 2 * work.pairs.i.size
-            if capacity > MOST_PAIRS_PER_GRAIN * self.committed.template.size:
-                raise FloatingPointError(
-                    f"{name}: its grains have collapsed onto each other; take smaller steps, a"
-                    " stiffer contact law or a smaller time step"
-                )
-            self._capacity = max(self._capacity, capacity)
-            work = self._new_workspace()
+            self._make_more_room(name, 2 * work.pairs.i.size)
+            work = self._take_workspace()
         self._spaces.append(work)
 
-    def _new_workspace(self) -> Workspace:
+    def _take_workspace(self) -> Workspace:
+        """One with room for `_capacity` pairs that no other thread uses."""
+        while self._spaces:
+            try:
+                work = self._spaces.pop()
+            except IndexError:  # another thread took the last one
+                break
+            if work.pairs.i.size >= self._capacity:
+                return work
         viscous = self.material.viscosity is not None
         packing = self.committed.template
-        memory = len(self.committed.memory[0]) if self.size else 0
+        memory = self.committed.memory.shape[1]
         return workspace(packing.size, packing.dim, self._capacity, viscous, memory)
+
+    def _make_more_room(self, name: str, capacity: int) -> None:
+        if capacity > MOST_PAIRS_PER_GRAIN * self.committed.template.size:
+            raise FloatingPointError(
+                f"{name}: its grains have collapsed onto each other; take smaller steps, a"
+                " stiffer contact law or a smaller time step"
+            )
+        self._capacity = max(self._capacity, capacity)

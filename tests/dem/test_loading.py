@@ -91,6 +91,11 @@ def test_the_first_bad_deformation_is_named_by_its_number():
         logarithm(F)
 
 
+def test_exactly_half_a_turn_is_refused():
+    with pytest.raises(ValueError, match="180 degrees"):
+        logarithm(-np.eye(2)[None])
+
+
 @pytest.mark.parametrize("degrees", [179.9, 180.0, -180.0, 180.01])
 def test_half_a_turn_in_one_increment_is_refused(degrees):
     with pytest.raises(ValueError, match="180 degrees"):
