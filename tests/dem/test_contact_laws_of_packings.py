@@ -18,12 +18,16 @@ from femxdem_fenicsx.dem.tangents import operator
 
 from .scenes import RADIUS, Moving, cubic, hexagonal
 
-HERTZ = HertzMindlin(shear_modulus=4e9, friction=0.5)
 TENSION, STIFFNESS = 5.0, 1e5
-ROCK = LinearContact(
-    stiffness=STIFFNESS, friction=0.5, cohesion=1e-9, rolling=RollingResistance(0.1),
-    bonds=Bonds(TENSION, 5.0),
-)  # fmt: skip
+CEMENT = {"cohesion": 1e-9, "rolling": RollingResistance(0.1)}
+ROCK = {
+    2: HertzMindlin(shear_modulus=2e8, bonds=Bonds(TENSION, 5.0), **CEMENT),
+    3: LinearContact(stiffness=STIFFNESS, bonds=Bonds(TENSION, 5.0), **CEMENT),
+}
+
+
+def sandstone(strength: float) -> HertzMindlin:
+    return HertzMindlin(shear_modulus=4e9, bonds=Bonds(strength, strength), **CEMENT)
 
 
 # Hertz-Mindlin
@@ -31,13 +35,16 @@ ROCK = LinearContact(
 
 @pytest.fixture(scope="module", params=[2, 3])
 def hertz(request):
-    """100 disks or 100 spheres of Hertz-Mindlin contacts at 100 kPa."""
-    return random_packing(100, law=HERTZ, dim=request.param)
+    """100 disks or 100 spheres with smooth Hertz contacts at 100 kPa."""
+    smooth = HertzMindlin(shear_modulus=4e9, friction=0.0)
+    return random_packing(100, law=smooth, dim=request.param)
 
 
 def affine_bulk_modulus(packing) -> float:
-    C = operator("UKO")(Response(packing, 1, PRESETS["fast"]), np.eye(packing.dim)[None])[0]
-    return float(np.einsum("iijj", C)) / packing.dim**2
+    """Of the contacts' normal springs, Pa: sum of k_n l^2 / (d^2 V)."""
+    contacts = touching(packing)
+    springs = contacts.stiffness * (contacts.branches**2).sum(1)
+    return springs.sum() / (packing.dim**2 * packing.volume)
 
 
 def test_the_stiffness_of_a_hertz_packing_grows_with_the_cubic_root_of_pressure(hertz):
@@ -55,35 +62,38 @@ def test_the_stiffness_of_a_hertz_packing_grows_with_the_cubic_root_of_pressure(
     assert ratio / packed == pytest.approx(8 ** (1 / 3), rel=0.08)
 
 
-def test_a_hertz_packing_without_friction_keeps_its_energy(hertz):
-    smooth = HertzMindlin(shear_modulus=4e9, friction=0.0)
-    packing = hertz.but(law=smooth, contacts=np.zeros((0, 2)), tangential=[])
-    velocity = 0.3 * np.random.default_rng(1).normal(size=packing.positions.shape)
-    moving, dt = Moving(packing, velocity), 0.05 * stable_time_step(packing)
+def test_a_smooth_hertz_packing_keeps_its_energy(hertz):
+    velocity = 0.3 * np.random.default_rng(1).normal(size=hertz.positions.shape)
+    moving, dt = Moving(hertz, velocity), 0.05 * stable_time_step(hertz)
 
     def energy():
         """Velocities are half a step behind: their mean over a step is taken."""
         before = moving.velocity.copy()
         stored = elastic_energy(moving.now)
         mean = 0.5 * (before + moving.advance(1, dt).velocity)
-        return stored + 0.5 * (packing.masses * (mean**2).sum(1)).sum(), stored
+        return stored + 0.5 * (hertz.masses * (mean**2).sum(1)).sum(), stored
 
     (first, stored), (last, stored_last) = energy(), (moving.advance(3000, dt), energy())[1]
     assert abs(stored_last - stored) > 0.01 * first  # it has been to and fro
     assert last == pytest.approx(first, rel=1e-4)
 
 
-def test_the_time_step_follows_hertz_contacts_as_they_stiffen(hertz):
-    response = Response(hertz, 1, PRESETS["fast"])
+@pytest.fixture(scope="module")
+def rock():
+    """100 disks of Hertz-Mindlin contacts, cemented at 100 kPa: 200 N are as much as they bear."""
+    return random_packing(100, law=sandstone(200.0))
+
+
+def test_the_time_step_follows_hertz_contacts_as_they_stiffen(rock):
+    response = Response(rock, 1, PRESETS["fast"])
     first = response.time_step[0]
     for _ in range(4):
-        response.deform(np.eye(hertz.dim)[None] * (1 - 2e-3))
+        response.deform(np.eye(2)[None] * (1 - 2e-3))
         response.commit()
     pressed = response.committed.packing(0)
-    assert -np.trace(stress(pressed)) / hertz.dim > 2e5
+    assert -np.trace(stress(pressed)) / 2 > 2e5
     assert 0.5 * first < response.time_step[0] < first
-    limit = stable_time_step(pressed)  # at twice the overlaps
-    assert response.time_step[0] < 2**0.25 * limit
+    assert response.time_step[0] < stable_time_step(pressed)
 
 
 # Bonds
@@ -91,8 +101,9 @@ def test_the_time_step_follows_hertz_contacts_as_they_stiffen(hertz):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_bonded_lattice_keeps_tension_up_to_its_strength_and_breaks_for_good(dim):
-    """Pulled apart in all directions: every contact bears the same force k (a - 2R)."""
-    packing = cemented(hexagonal(4, 4, law=ROCK) if dim == 2 else cubic(4, law=ROCK))
+    """Pulled apart in all directions: every contact bears the same force f(a - 2R)."""
+    law = ROCK[dim]
+    packing = cemented(hexagonal(4, 4, law=law) if dim == 2 else cubic(4, law=law))
     contacts, spacing = len(touching(packing).pairs), 2 * RADIUS * (1 - 1e-3)
     assert packing.bonded.sum() == contacts == (3 * 16 if dim == 2 else 3 * 64)
     response = Response(packing, 1, PRESETS["fast"])
@@ -106,27 +117,29 @@ def test_a_bonded_lattice_keeps_tension_up_to_its_strength_and_breaks_for_good(d
         response.commit()
         return float(np.trace(outcome.stress[0])) / dim
 
+    def force(gap: float) -> float:
+        if dim == 3:
+            return STIFFNESS * gap
+        return np.sign(gap) * 2 / 3 * 2e8 / 0.8 * np.sqrt(2 * RADIUS) * abs(gap) ** 1.5
+
     def tension(gap: float) -> float:
         now = response.committed.packing(0)
-        return contacts * STIFFNESS * gap * (2 * RADIUS + gap) / (dim * now.volume)
+        return contacts * force(gap) * (2 * RADIUS + gap) / (dim * now.volume)
 
-    most = TENSION / STIFFNESS
+    most = TENSION / STIFFNESS if dim == 3 else (TENSION / force(1.0)) ** (2 / 3)
     assert pulled_to(0.5 * most) == pytest.approx(tension(0.5 * most), rel=1e-4)
     assert response.committed.packing(0).bonded.sum() == contacts
     assert pulled_to(0.98 * most) == pytest.approx(tension(0.98 * most), rel=1e-4)
-    C = operator("UKO")(response, np.eye(dim)[None])[0]
-    assert C[0, 0, 0, 0] > 0.5 * contacts * STIFFNESS * (2 * RADIUS) ** 2 / dim**2 / packing.volume
+    if dim == 3:
+        C = operator("UKO")(response, np.eye(dim)[None])[0]
+        assert C[0, 0, 0, 0] == pytest.approx(STIFFNESS / (2 * RADIUS), rel=0.01)
     assert pulled_to(1.02 * most) == 0.0
     assert response.committed.packing(0).bonded.sum() == 0
     assert pulled_to(0.5 * most) == 0.0
     assert pulled_to(-most) == pytest.approx(tension(-most), rel=1e-4)
 
 
-def test_a_cemented_packing_of_disks_bears_tension_until_it_cracks_and_without_cement_none():
-    law = LinearContact(
-        modulus=6e8, cohesion=1e-9, rolling=RollingResistance(0.1), bonds=Bonds(200.0, 200.0)
-    )
-    rock = random_packing(100, law=law)
+def test_a_cemented_packing_of_disks_bears_tension_until_it_cracks_and_without_cement_none(rock):
     sand = rock.but(bonded=None)
     assert rock.bonded.all() and not sand.bonded.any()
     np.testing.assert_allclose(stress(rock), stress(sand))
@@ -138,16 +151,13 @@ def test_a_cemented_packing_of_disks_bears_tension_until_it_cracks_and_without_c
             response.commit()
         if packing is rock:
             broken = 1 - response.committed.packing(0).bonded.sum() / rock.bonded.sum()
-    assert max(means[:6]) > 8e4 and 0.05 < broken < 0.5
-    assert means[5] < 0.5 * max(means[:6])  # brittle
+    assert max(means[:6]) > 5e4 and 0.05 < broken < 0.5
+    assert means[5] < 0.7 * max(means[:6])  # brittle
     assert max(means[6:]) == means[-1] == 0.0
 
 
-def test_a_state_with_bonds_and_moments_is_a_function_of_the_motion_alone_and_travels():
-    law = LinearContact(
-        modulus=6e8, cohesion=1e-9, rolling=RollingResistance(0.1), bonds=Bonds(20.0, 20.0)
-    )
-    rock = random_packing(100, law=law)
+def test_a_state_with_bonds_and_moments_is_a_function_of_the_motion_alone_and_travels(rock):
+    rock = rock.but(law=sandstone(5.0))
     F = np.eye(2) + 1e-3 * np.array([[0.5, 1.5], [0.0, -1.0]])
     response = Response(rock, 2, PRESETS["fast"])
     response.deform(np.array([F, np.eye(2)]))
@@ -169,9 +179,9 @@ def test_a_state_with_bonds_and_moments_is_a_function_of_the_motion_alone_and_tr
 
 
 def test_bonds_that_the_law_does_not_know_are_refused_in_one_line():
-    packing = cemented(hexagonal(4, 4, law=ROCK))
+    packing = cemented(hexagonal(4, 4, law=ROCK[2]))
     plain = LinearContact(stiffness=STIFFNESS)
-    with pytest.raises(ValueError, match="48 values of bonded are not zero.*no bonds"):
+    with pytest.raises(ValueError, match=r"48 values of bonded are not zero.*no bonds"):
         packing.but(law=plain)
     assert packing.but(law=plain, bonded=None).bonded is None
     with pytest.raises(ValueError, match="has no bonds; give it bonds=Bonds"):
