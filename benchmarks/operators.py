@@ -86,7 +86,9 @@ def main(comm: MPI.Comm) -> int:
     mesh, step = ((2, 4), 5e-4) if quick else ((8, 16), 2e-4)
     study = Study(prepared(folder), mesh, step, folder, args.threads, names)
     states = kept(folder / "states.json", lambda: at_two_states(study))
-    runs = {name: kept(folder / f"{name}.json", lambda n=name: run(study, n)) for name in study.names}
+    runs = {
+        name: kept(folder / f"{name}.json", lambda n=name: run(study, n)) for name in study.names
+    }
     result = summary(study, states, runs)
     print(table(result))
     print(json.dumps(result))
@@ -321,7 +323,9 @@ def spectra_of(study, specimen, operators) -> dict:
 
 def summary(study: Study, states: dict, runs: dict) -> dict:
     """The result, with the keys that are compared from release to release."""
-    peak = np.array(runs["default" if "default" in runs else study.names[0]]["stress_ratio"]).argmax()
+    peak = np.array(
+        runs["default" if "default" in runs else study.names[0]]["stress_ratio"]
+    ).argmax()
     rows = {}
     for name, one in runs.items():
         iterations, evaluations = np.array(one["iterations"]), np.array(one["evaluations"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,11 +32,11 @@ if TYPE_CHECKING:
 GRADIENTS = ("first", "second")
 
 #: What may change when a run is resumed: where it goes, how far, and how it is solved. The packing
-#: is compared by what is in it.
+#: is compared by what is in it, the accuracy by its numbers.
 FREE = (
     "defaults", "output", "quiet", "resume", "checkpoint_every", "checkpoint_fails", "threads",
-    "packing", "strain", "step", "tolerance", "displacement_tolerance", "looser_tolerance",
-    "max_iterations",
+    "packing", "accuracy", "time_step", "strain", "step", "tolerance", "displacement_tolerance",
+    "looser_tolerance", "max_iterations",
 )  # fmt: skip
 
 
@@ -235,11 +236,13 @@ def saving_of(args: argparse.Namespace, law: HomogenisedLaw | DistributedLaw) ->
         save_packing(path, law.response.committed.template)
         packing = path.read_bytes()
     scene = {name: value for name, value in vars(args).items() if name not in FREE}
+    scene |= {f"accuracy: {name}": value for name, value in asdict(accuracy_of(args)).items()}
+    defaults = {f"accuracy: {field.name}": field.default for field in fields(Accuracy)}
     return Saving(
         checkpoint_folder(args),
-        _told(scene | {"accuracy": accuracy_of(args)}),
+        _told(scene),
         packing,
-        _told(getattr(args, "defaults", {})),
+        _told(defaults | getattr(args, "defaults", {})),
         args.checkpoint_every,
         args.resume,
         args.checkpoint_fails == "stop",

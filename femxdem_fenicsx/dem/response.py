@@ -299,7 +299,7 @@ class Response:
                 return work
         viscous = self.material.viscosity is not None
         packing = self.committed.template
-        memory = len(self.committed.memory[0]) if self.size else 0
+        memory = self.committed.memory.shape[1]
         return workspace(packing.size, packing.dim, self._capacity, viscous, memory)
 
     def _make_more_room(self, name: str, capacity: int) -> None:

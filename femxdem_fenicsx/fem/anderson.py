@@ -89,7 +89,9 @@ class Anderson:
         update = g.copy()
         update.scale(self.beta)
         if self._differences:
-            gram = np.array([[p.dot(q) for _, q in self._differences] for _, p in self._differences])
+            gram = np.array(
+                [[p.dot(q) for _, q in self._differences] for _, p in self._differences]
+            )
             right = np.array([p.dot(g) for _, p in self._differences])
             smallest = self.SMALLEST_SINGULAR_VALUE**2
             gamma = np.linalg.lstsq(gram, right, rcond=smallest)[0]

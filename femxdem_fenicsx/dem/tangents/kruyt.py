@@ -32,9 +32,7 @@ def affine(
             c_t[b] * contacts.tangential_stiffness, turning, C[b],
         )  # fmt: skip
         if forces:
-            _turn_forces(
-                contacts.branch, contacts.normal_force, contacts.tangential_force, C[b]
-            )
+            _turn_forces(contacts.branch, contacts.normal_force, contacts.tangential_force, C[b])
         C[b] /= contacts.volume
         if forces:
             identity, stress = np.eye(dim), contacts.stress

@@ -232,8 +232,11 @@ def _add_twist(i, j, c, branch, radius, twist, motion, forces):
     for v in range(forces.shape[1]):
         mean = 0.0
         for p in range(3):
-            mean += 0.5 * branch[c, p] / length * (
-                motion[i, 3 + p, v] / radius[i] + motion[j, 3 + p, v] / radius[j]
+            mean += (
+                0.5
+                * branch[c, p]
+                / length
+                * (motion[i, 3 + p, v] / radius[i] + motion[j, 3 + p, v] / radius[j])
             )
         for p in range(6):
             forces[p, v] += twist[c, p] * mean
