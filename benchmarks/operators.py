@@ -3,7 +3,8 @@
 Drained biaxial compression to 2 % strain, 128 Q8 elements with 4 points each, 400 grains with
 friction and cohesion, FNORM/RNORM <= 1e-2. Each operator drives a plain Newton iteration: no
 first guess but the linear response, a new tangent in every iteration. "default" is what a user
-gets. Steps are never cut; one that does not converge within 20 iterations is accepted below 5e-2 and counted.
+gets. Steps are never cut; one that does not converge within 20 iterations is accepted below 5e-2
+and counted.
 
 Prints tables, and one JSON object as its last line. What is finished is kept in the output folder,
 and a run that was stopped goes on from there. `--quick`: 8 elements, larger steps.

@@ -1,7 +1,8 @@
 """PSTLO, the prestressed truss-like operator (Argilaga section 5.2 and appendix B).
 
 The grains are the nodes of a lattice, with rotations; contacts persist and are elastic. Of a
-contact, with n from i to j, l = |b|, lever = l / (R_i + R_j) and the sum s = w_i + w_j of the rim velocities
+contact, with n from i to j, l = |b|, lever = l / (R_i + R_j) and the sum s = w_i + w_j of the rim
+velocities
 R theta, a small motion changes the force F on j and the moment M / R that slows both grains by
 
     dF = -k_n n (n.db) + f_n dn - (T.dn) n + dT,       dn = (I - n n) db / l,
