@@ -278,6 +278,8 @@ def draw_cost(study: dict) -> None:
     right.set_ylabel("wall-clock to 2 %, s")
     right.legend(fontsize="small")
     left.set_xticks(place, rows, rotation=60, ha="right")
+    for axes in (left, right):
+        axes.set_ylim(0, 1.3 * axes.get_ylim()[1])  # room for the legend
     figure.savefig(FIGURES / "operators_cost.png")
 
 
