@@ -270,15 +270,16 @@ def draw_cost(study: dict) -> None:
         left.bar(place + shift, values, 0.4, color=OURS if shift < 0 else THEIRS, label=label)
     left.set_ylabel("evaluations of the law per step")
     left.legend(fontsize="small")
-    whole = rows["AEO"]["wall_s"] / 100
-    tangents = np.array([row["tangent_s"] for row in rows.values()]) / whole
-    total = np.array([row["wall_s"] for row in rows.values()]) / whole
-    right.bar(place, total - tangents, 0.6, color="0.7", label="evaluations and FEM")
-    right.bar(place, tangents, 0.6, total - tangents, color=THIRD, label="tangents")
-    right.set_ylabel("wall-clock to 2 %, AEO = 100")
+    timed = {name: row for name, row in rows.items() if row["wall_s"] is not None}
+    tangents = np.array([row["tangent_s"] for row in timed.values()])
+    total = np.array([row["wall_s"] for row in timed.values()])
+    right.bar(list(timed), total - tangents, 0.6, color="0.7", label="evaluations and FEM")
+    right.bar(list(timed), tangents, 0.6, total - tangents, color=THIRD, label="tangents")
+    right.set_ylabel("wall-clock to 2 %, s")
     right.legend(fontsize="small")
+    left.set_xticks(place, rows, rotation=60, ha="right")
     for axes in (left, right):
-        axes.set_xticks(place, rows, rotation=60, ha="right")
+        axes.set_ylim(0, 1.3 * axes.get_ylim()[1])  # room for the legend
     figure.savefig(FIGURES / "operators_cost.png")
 
 

@@ -160,9 +160,10 @@ def resume_flow(motion, gradient, flow, flow_gradient):
 def share_of_look(ratio, tolerance):
     """Share of the stress that a look at a hold decides: none if far from rest, all if at rest.
 
-    A hold ends after so many blocks, and the stress at the end of the last one jumps where F changes
-    ever so little and their number jumps: by up to 1 %, and Newton finds no balance below that. The
-    stress is hence a mean over the looks since the packing was nearly at rest (docs/operators.md).
+    A hold ends after so many blocks, and the stress at the end of the last one jumps where F
+    changes ever so little and their number jumps: by up to 1 %, and Newton finds no balance below
+    that. The stress is hence a mean over the looks since the packing was nearly at rest
+    (docs/operators.md).
     """
     return max(1.0 - math.log(max(ratio / tolerance, 1.0)) / math.log(NEARLY_AT_REST), 0.0)
 

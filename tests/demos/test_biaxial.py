@@ -222,7 +222,7 @@ def changed(folder: Path, name: str, value: int) -> Path:
 
 #: What is asked for -> what the one line must name.
 BAD_INPUT = {
-    "unknown operator": (("--operator", "XYZ"), "unknown operator 'XYZ'; choose from UKO, CTO"),
+    "unknown operator": (("--operator", "XYZ"), "unknown operator 'XYZ'; choose from CTO, AEO"),
     "unknown element": (("--element", "Q27"), "Q27"),
     "unknown formulation": (("--formulation", "large"), "unknown formulation 'large'"),
     "unknown accuracy": (("--accuracy", "exact"), "unknown accuracy preset 'exact'"),

@@ -10,8 +10,9 @@ from .network import objective, strains
 STICKING = 1e9
 #: Strain of the auxiliary steps: far below an overlap, so that no contact opens or closes.
 PERTURBATION = 1e-6
-#: Of the hold (Desrues eq. 19). The change of the stress is about `PERTURBATION` times the stiffness
-#: level, 1e-3 of the stress: what is left of the unbalance has to be a hundredth of that, or less.
+#: Of the hold (Desrues eq. 19). The change of the stress is about `PERTURBATION` times the
+#: stiffness level, 1e-3 of the stress: what is left of the unbalance has to be a hundredth of
+#: that, or less.
 TOLERANCE = 1e-6
 MOST_STEPS = 20000
 

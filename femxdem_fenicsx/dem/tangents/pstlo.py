@@ -1,7 +1,8 @@
 """PSTLO, the prestressed truss-like operator (Argilaga section 5.2 and appendix B).
 
-The grains are the nodes of a lattice, with rotations; contacts persist and are elastic. Of a contact,
-with n from i to j, l = |b|, lever = l / (R_i + R_j) and the sum s = w_i + w_j of the rim velocities
+The grains are the nodes of a lattice, with rotations; contacts persist and are elastic. Of a
+contact, with n from i to j, l = |b|, lever = l / (R_i + R_j) and the sum s = w_i + w_j of the rim
+velocities
 R theta, a small motion changes the force F on j and the moment M / R that slows both grains by
 
     dF = -k_n n (n.db) + f_n dn - (T.dn) n + dT,       dn = (I - n n) db / l,
@@ -38,8 +39,8 @@ def prestressed_truss(response: Response, F: np.ndarray) -> np.ndarray:
     """PSTLO: the exact derivative of a packing in which nothing slides, opens or closes (eq. 23).
 
     Grains with too few contacts to be held by them move along and bear nothing. Strains alone are
-    solved for: a rotation turns the stress. A packing whose equations cannot be solved (it is about to
-    collapse) gets KAO.
+    solved for: a rotation turns the stress. A packing whose equations cannot be solved (it is about
+    to collapse) gets KAO.
     """
     B, dim = response.size, F.shape[-1]
     basis = strains(dim)

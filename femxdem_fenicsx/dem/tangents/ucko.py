@@ -69,8 +69,7 @@ class UpperBoundCorrected2(_Calibrated):
     """
 
     def calibrate(self, C, normal, tangential):
-        parts = np.array(
-            [[term(part) for part in (normal, tangential)] for term in (_normal_terms, _coupling_terms)]
-        )  # fmt: skip
-        wanted = np.array([_normal_terms(C), _coupling_terms(C)])
+        terms = (_normal_terms, _coupling_terms)
+        parts = np.array([[term(part) for part in (normal, tangential)] for term in terms])
+        wanted = np.array([term(C) for term in terms])
         return np.linalg.solve(parts.transpose(2, 0, 1), wanted.T[:, :, None])[..., 0]
