@@ -199,8 +199,6 @@ class Problem:
         _, self._values = _dolfinx.prescribed(self._work, self.bcs)
         self._x.array[:] = self._first_guess(step)
         self._now = self._before = self._best = None  # u = 0 was no iterate
-        # MUMPS orders by the values of the first matrix: a resumed run must order as this one does
-        self.snes.getKSP().reset()
         try:
             self.snes.solve(None, self._x)
         except Exception:
@@ -256,6 +254,7 @@ class Problem:
         Where a run is to go on from a checkpoint to the same bits, it must forget at it too.
         """
         self._assembled = False
+        self.snes.getKSP().reset()  # MUMPS orders by the values of the first matrix
         context = self.snes.getPythonContext() if self.snes.getType() == "python" else None
         if isinstance(context, Anderson):
             context.forget()
@@ -329,7 +328,7 @@ class Problem:
         That is known from the end of the last step; before the first one, the law is evaluated.
         """
         self._set_u(np.zeros(self._size))
-        if self._last_forces is None:
+        if self._last_step is None or self._last_forces is None:
             self._evaluate_at_u()
             self._last_forces = self._forces.copy()
         self._assemble_jacobian(self.snes, self._x, self._matrix, self._matrix)
