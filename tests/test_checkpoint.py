@@ -46,7 +46,7 @@ def write(folder: Path, *steps: int, scene=None) -> None:
 
 def specimen(folder: Path, *options: str) -> subprocess.CompletedProcess:
     command = [sys.executable, "-m", MODULE, "specimen", str(folder), *options]
-    return subprocess.run(command, cwd=ROOT, env=ALONE, capture_output=True, text=True, timeout=100)
+    return subprocess.run(command, cwd=ROOT, env=ALONE, capture_output=True, text=True, timeout=200)
 
 
 def history(folder: Path) -> str:
