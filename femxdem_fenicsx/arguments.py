@@ -36,7 +36,7 @@ GRADIENTS = ("first", "second")
 FREE = (
     "defaults", "output", "quiet", "resume", "checkpoint_every", "checkpoint_fails", "threads",
     "packing", "accuracy", "time_step", "strain", "step", "tolerance", "displacement_tolerance",
-    "looser_tolerance", "max_iterations",
+    "looser_tolerance", "max_iterations", "operator",
 )  # fmt: skip
 
 

@@ -169,6 +169,7 @@ def test_one_and_two_ranks_give_the_same_history(tmp_path):
 def test_a_run_that_is_stopped_and_resumed_gives_the_bits_of_one_that_is_not(tmp_path):
     arguments = (
         "--grains", 64, "--seed", 5, "--mesh", 1, 2, "--accuracy", "fast", "--quiet",
+        "--checkpoint-every", 1,
     )  # fmt: skip
     compile_kernels()
     whole, stopped = tmp_path / "whole", tmp_path / "stopped"
