@@ -23,7 +23,7 @@ biaxial: setup ## the main scene: drained biaxial compression, into results/biax
 	$(PYTHON) demos/biaxial.py
 
 test: setup ## all tests
-	$(PYTHON) -m pytest
+	$(PYTHON) -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
 lint: setup ## what CI checks of the style
 	$(PYTHON) -m ruff format --check .

@@ -15,11 +15,13 @@ import argparse
 from pathlib import Path
 from time import perf_counter
 
+import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
 from femxdem_fenicsx import arguments as shared
 from femxdem_fenicsx import plotting, script
+from femxdem_fenicsx.collective import together
 from femxdem_fenicsx.compression import (
     Run,
     Specimen,
@@ -30,7 +32,6 @@ from femxdem_fenicsx.compression import (
 )
 from femxdem_fenicsx.dem.files import save_packing
 from femxdem_fenicsx.dem.packing import Packing
-from femxdem_fenicsx.fem.collective import together
 from femxdem_fenicsx.fem.elements import element
 from femxdem_fenicsx.fem.external_operator import ExternalOperator
 from femxdem_fenicsx.fem.output import writable_folder
@@ -38,11 +39,14 @@ from femxdem_fenicsx.fem.problem import Problem
 from femxdem_fenicsx.fem.quadrature_points import QuadraturePoints
 from femxdem_fenicsx.fem.stepping import LoadStepping
 from femxdem_fenicsx.plane_strain import PlaneStrain
-from forms import first_gradient
+from forms.first_gradient import FORMULATIONS
+from forms.media import medium_for
 from meshes.rectangle import BOTTOM, LEFT, RIGHT, TOP, rectangle, sides, vertex_near
 
 #: Largest strain of a point in one load step, over the step's axial strain: beyond it, cut.
 LARGEST_INCREMENT = 30
+#: Where a dent is, in heights above the lower plate.
+DENT = 0.35
 
 
 # ## The scene
@@ -56,7 +60,10 @@ def arguments() -> argparse.ArgumentParser:
     specimen = parser.add_argument_group("specimen")
     specimen.add_argument("--width", type=float, default=0.05, help="m")
     specimen.add_argument("--height", type=float, default=0.1, help="m")
-    shared.add_discretisation(specimen, 2, (6, 12), "Q4", first_gradient.FORMULATIONS)
+    specimen.add_argument(
+        "--imperfection", type=float, default=0.0, help="dent of the left side, share of the width"
+    )
+    shared.add_discretisation(specimen, 2, (6, 12), "Q4", FORMULATIONS)
     grains = shared.add_grains(parser, 400, "disks, or spheres")
     grains.add_argument("--dim", type=int, default=2, help="2: disks, 3: spheres, in plane strain")
     shared.add_compression(parser, strain=0.04)
@@ -76,22 +83,20 @@ def arguments() -> argparse.ArgumentParser:
 def specimen_for(args: argparse.Namespace, packing: Packing, comm: MPI.Comm) -> Specimen:
     kind = element(args.element, args.points)
     mesh = rectangle(comm, args.width, args.height, *args.mesh, kind)
+    tags = sides(mesh, args.width, args.height)
+    dent(mesh, args.imperfection, args.width, args.height)
     points = QuadraturePoints(mesh, kind)
-    law = shared.law_for(args, packing, points.size, comm)
+    law = shared.law_for(args, packing, points, comm)
     if packing.dim == 3:
         law = PlaneStrain(law)
-    u = fem.Function(kind.space(mesh))
-    F = first_gradient.deformation_gradient(u)
-    sigma = ExternalOperator(F, law, points, LARGEST_INCREMENT * args.step)
+    medium = medium_for(args, points)
+    sigma = ExternalOperator(medium.F, law, points, LARGEST_INCREMENT * args.step, medium.states)
 
-    tags = sides(mesh, args.width, args.height)
     ds = kind.ds(mesh, tags)
     p = fem.Constant(mesh, args.pressure)
-    residual, jacobian = first_gradient.FORMULATIONS[args.formulation](
-        u, sigma.stress, sigma.tangent, kind.dx(mesh), [(p, ds((LEFT, RIGHT)))]
-    )
+    residual, jacobian = medium.equilibrium(sigma.stress, sigma.tangent, [(p, ds((LEFT, RIGHT)))])
 
-    V_x, V_y = u.function_space.sub(0), u.function_space.sub(1)
+    V_x, V_y = medium.space.sub(0), medium.space.sub(1)
     descent, zero = fem.Constant(mesh, 0.0), fem.Constant(mesh, 0.0)
     top = fem.locate_dofs_topological(V_y, 1, tags.find(TOP))
     bottom = fem.locate_dofs_topological(V_y, 1, tags.find(BOTTOM))
@@ -100,20 +105,34 @@ def specimen_for(args: argparse.Namespace, packing: Packing, comm: MPI.Comm) -> 
         fem.dirichletbc(descent, top, V_y),
         fem.dirichletbc(zero, bottom, V_y),
         fem.dirichletbc(zero, held, V_x),
+        *medium.straight(tags.find(TOP), normal=1, component=1),
+        *medium.straight(tags.find(BOTTOM), normal=1, component=1),
     ]
-    problem = Problem(u, residual, jacobian, sigma, bcs, shared.convergence_of(args))
+    problem = Problem(medium.unknown, residual, jacobian, sigma, bcs, shared.convergence_of(args))
     return Specimen(problem, descent, top, args.height, args.pressure)
+
+
+# The specimen is homogeneous, so that a shear band may start anywhere. A smooth dent in one side
+# gives it its place, the same in every mesh. At the beginning the stress is isotropic, so that the
+# dented specimen is in equilibrium too.
+
+
+def dent(mesh, depth: float, width: float, height: float) -> None:
+    x, y = mesh.geometry.x[:, 0], mesh.geometry.x[:, 1]
+    shape = np.exp(-(((y - DENT * height) / (0.1 * height)) ** 2))
+    mesh.geometry.x[:, 0] = width - (width - x) * (1 - depth * shape)
 
 
 # ## Loading
 #
 # `load` goes along the load path and cuts steps where the iteration fails. After every accepted
-# step it writes a row of the table and the fields.
+# step it writes a row of the table and the fields, and every now and then a checkpoint.
 
 
 def compress(specimen: Specimen, args: argparse.Namespace) -> Run:
     stepping = LoadStepping(args.step, looser_limit=args.looser_tolerance)
-    return load(specimen, args.strain, stepping, args.output / "biaxial", args.quiet)
+    saving = shared.saving_of(args, specimen.law)
+    return load(specimen, args.strain, stepping, args.output / "biaxial", args.quiet, saving)
 
 
 # ## Results
@@ -151,11 +170,14 @@ def pictures(specimen: Specimen, rows: list[dict[str, float]], folder: Path) -> 
 def main(comm: MPI.Comm) -> int:
     started = perf_counter()
     args = script.parse(arguments(), comm)
-    shared.check(args, 2, first_gradient.FORMULATIONS)
+    shared.check(args, 2, FORMULATIONS)
+    if not 0 <= args.imperfection < 0.5:
+        raise ValueError(f"--imperfection {args.imperfection}: the dent must be in [0, 0.5)")
     writable_folder(comm, args.output)
     specimen = specimen_for(args, shared.packing_for(args, comm, args.dim), comm)
     run = compress(specimen, args)
-    pictures(specimen, run.rows, args.output)
+    if not run.signal:
+        pictures(specimen, run.rows, args.output)
     seconds = perf_counter() - started
     return tell("Drained biaxial compression", specimen, run, seconds, args.quiet)
 

@@ -15,17 +15,18 @@ from mpi4py import MPI
 
 from femxdem_fenicsx import arguments as shared
 from femxdem_fenicsx import script
+from femxdem_fenicsx.collective import together
 from femxdem_fenicsx.compression import Specimen, load, packing_at_extreme, save_curves, tell
 from femxdem_fenicsx.dem.files import save_packing
 from femxdem_fenicsx.dem.packing import Packing
-from femxdem_fenicsx.fem.collective import together
 from femxdem_fenicsx.fem.elements import element
 from femxdem_fenicsx.fem.external_operator import ExternalOperator
 from femxdem_fenicsx.fem.output import writable_folder
 from femxdem_fenicsx.fem.problem import Problem
 from femxdem_fenicsx.fem.quadrature_points import QuadraturePoints
 from femxdem_fenicsx.fem.stepping import LoadStepping
-from forms import first_gradient
+from forms.first_gradient import FORMULATIONS
+from forms.media import medium_for
 from meshes.box import BACK, BOTTOM, FRONT, LEFT, RIGHT, TOP, box, sides, vertex_near
 
 #: Largest strain of a point in one load step, over the step's axial strain: beyond it, cut.
@@ -41,7 +42,7 @@ def arguments() -> argparse.ArgumentParser:
     specimen.add_argument(
         "--size", type=float, nargs=3, default=(0.05, 0.05, 0.1), metavar=("X", "Y", "Z"), help="m"
     )
-    shared.add_discretisation(specimen, 3, (1, 1, 2), "H8", first_gradient.FORMULATIONS)
+    shared.add_discretisation(specimen, 3, (1, 1, 2), "H8", FORMULATIONS)
     shared.add_grains(parser, 400, "spheres")
     shared.add_compression(parser, strain=0.02)
     shared.add_solution(parser)
@@ -60,19 +61,18 @@ def specimen_for(args: argparse.Namespace, packing: Packing, comm: MPI.Comm) -> 
     kind = element(args.element, args.points)
     mesh = box(comm, args.size, args.mesh, kind)
     points = QuadraturePoints(mesh, kind)
-    law = shared.law_for(args, packing, points.size, comm)
-    u = fem.Function(kind.space(mesh))
-    F = first_gradient.deformation_gradient(u)
-    sigma = ExternalOperator(F, law, points, LARGEST_INCREMENT * args.step)
+    law = shared.law_for(args, packing, points, comm)
+    medium = medium_for(args, points)
+    sigma = ExternalOperator(medium.F, law, points, LARGEST_INCREMENT * args.step, medium.states)
 
     tags = sides(mesh, args.size)
     ds = kind.ds(mesh, tags)
     p = fem.Constant(mesh, args.pressure)
-    residual, jacobian = first_gradient.FORMULATIONS[args.formulation](
-        u, sigma.stress, sigma.tangent, kind.dx(mesh), [(p, ds((LEFT, RIGHT, FRONT, BACK)))]
+    residual, jacobian = medium.equilibrium(
+        sigma.stress, sigma.tangent, [(p, ds((LEFT, RIGHT, FRONT, BACK)))]
     )
 
-    V_x, V_y, V_z = (u.function_space.sub(axis) for axis in range(3))
+    V_x, V_y, V_z = (medium.space.sub(axis) for axis in range(3))
     descent, zero = fem.Constant(mesh, 0.0), fem.Constant(mesh, 0.0)
     top = fem.locate_dofs_topological(V_z, 2, tags.find(TOP))
     bottom = fem.locate_dofs_topological(V_z, 2, tags.find(BOTTOM))
@@ -84,8 +84,10 @@ def specimen_for(args: argparse.Namespace, packing: Packing, comm: MPI.Comm) -> 
         fem.dirichletbc(zero, fem.locate_dofs_topological(V_x, 0, corner), V_x),
         fem.dirichletbc(zero, fem.locate_dofs_topological(V_y, 0, corner), V_y),
         fem.dirichletbc(zero, fem.locate_dofs_topological(V_y, 0, along_x), V_y),
+        *medium.straight(tags.find(TOP), normal=2, component=2),
+        *medium.straight(tags.find(BOTTOM), normal=2, component=2),
     ]
-    problem = Problem(u, residual, jacobian, sigma, bcs, shared.convergence_of(args))
+    problem = Problem(medium.unknown, residual, jacobian, sigma, bcs, shared.convergence_of(args))
     return Specimen(problem, descent, top, args.size[2], args.pressure)
 
 
@@ -112,12 +114,14 @@ def save_results(specimen: Specimen, rows: list[dict[str, float]], folder: Path)
 def main(comm: MPI.Comm) -> int:
     started = perf_counter()
     args = script.parse(arguments(), comm)
-    shared.check(args, 3, first_gradient.FORMULATIONS)
+    shared.check(args, 3, FORMULATIONS)
     writable_folder(comm, args.output)
     specimen = specimen_for(args, shared.packing_for(args, comm, 3), comm)
     stepping = LoadStepping(args.step, looser_limit=args.looser_tolerance)
-    run = load(specimen, args.strain, stepping, args.output / "triaxial", args.quiet)
-    save_results(specimen, run.rows, args.output)
+    saving = shared.saving_of(args, specimen.law)
+    run = load(specimen, args.strain, stepping, args.output / "triaxial", args.quiet, saving)
+    if not run.signal:
+        save_results(specimen, run.rows, args.output)
     seconds = perf_counter() - started
     return tell("Drained triaxial compression", specimen, run, seconds, args.quiet)
 

@@ -3,23 +3,40 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
 
-from . import script
+from . import contact_arguments, script
+from .checkpoint import Checkpoint, Saving
+from .collective import together
 from .dem.accuracy import PRESETS, Accuracy, preset
-from .dem.contacts import Bonds, ContactLaw, HertzMindlin, LinearContact, RollingResistance
-from .dem.files import load_packing
+from .dem.files import load_packing, save_packing
 from .dem.packing import Packing
 from .dem.preparation import random_packing
 from .dem.tangents import OPERATORS, operator
-from .fem.collective import together
+from .double_stress import one_parameter
 from .fem.elements import element, names
 from .fem.problem import Convergence
+from .fem.quadrature_points import QuadraturePoints
 from .homogenised_law import HomogenisedLaw
+
+if TYPE_CHECKING:
+    from .distribution import DistributedLaw
+
+GRADIENTS = ("first", "second")
+
+#: What may change when a run is resumed: where it goes, how far, and how it is solved. The packing
+#: is compared by what is in it.
+FREE = (
+    "defaults", "output", "quiet", "resume", "checkpoint_every", "checkpoint_fails", "threads",
+    "packing", "strain", "step", "tolerance", "displacement_tolerance", "looser_tolerance",
+    "max_iterations",
+)  # fmt: skip
 
 
 def parser(description: str) -> argparse.ArgumentParser:
@@ -34,13 +51,20 @@ def parser(description: str) -> argparse.ArgumentParser:
 def add_discretisation(
     specimen, dim: int, cells: Sequence[int], kind: str, formulations: Sequence[str]
 ) -> None:
-    """--mesh, --element, --points and --formulation, into the group of the specimen."""
+    """--mesh, --element, --points, --formulation and --gradient, into the group of the specimen."""
     axes = ("NX", "NY", "NZ")[:dim]
     *others, last = names(dim)
     specimen.add_argument("--mesh", type=int, nargs=dim, default=tuple(cells), metavar=axes)
     specimen.add_argument("--element", default=kind, help=f"{', '.join(others)} or {last}")
     specimen.add_argument("--points", help="quadrature, e.g. 3x3  (default: the element's)")
     specimen.add_argument("--formulation", default="finite", help=", ".join(formulations))
+    specimen.add_argument("--gradient", default="first", help=", ".join(GRADIENTS))
+    specimen.add_argument(
+        "--second-gradient-modulus",
+        type=float,
+        metavar="D",
+        help="N, with --gradient second  (the internal length goes with its square root)",
+    )
 
 
 def add_grains(parser: argparse.ArgumentParser, count: int, noun: str) -> argparse._ArgumentGroup:
@@ -52,27 +76,7 @@ def add_grains(parser: argparse.ArgumentParser, count: int, noun: str) -> argpar
         "--radii", type=float, nargs=2, default=(3e-3, 7e-3), metavar=("MIN", "MAX"), help="m"
     )
     grains.add_argument("--seed", type=int, default=1)
-    grains.add_argument(
-        "--contact-law", default="linear", help=f"elasticity: {', '.join(CONTACT_LAWS)}"
-    )
-    grains.add_argument(
-        "--friction", type=float, default=float(np.tan(0.5)), help="of the contacts"
-    )
-    grains.add_argument("--modulus", type=float, default=6e8, help="E_c of linear contacts, Pa")
-    grains.add_argument("--stiffness-ratio", type=float, default=0.8, help="their k_t / k_n")
-    grains.add_argument("--shear-modulus", type=float, default=4e9, help="G for hertz, Pa")
-    grains.add_argument("--poisson-ratio", type=float, default=0.2, help="nu for hertz")
-    grains.add_argument("--cohesion", type=float, default=0.0, help="of a contact, N")
-    grains.add_argument(
-        "--rolling-friction", type=float, help="largest rolling moment over r f_n  (default: none)"
-    )
-    grains.add_argument(
-        "--bonds",
-        type=float,
-        nargs=2,
-        metavar=("TENSION", "SHEAR"),
-        help="strength of cement between grains that touch, N  (default: none)",
-    )
+    contact_arguments.add_contact_law(grains)
     grains.add_argument(
         "--compaction-friction", type=float, default=0.0, help="0: dense, 0.2: loose"
     )
@@ -111,6 +115,13 @@ def add_output(parser: argparse.ArgumentParser, folder: str) -> None:
     output = parser.add_argument_group("output")
     output.add_argument("--output", type=Path, default=Path(folder), help="folder")
     output.add_argument("--quiet", action="store_true", help="no progress, no table")
+    output.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
+    output.add_argument(
+        "--checkpoint-every", type=int, metavar="STEPS", help="(default: every 10 minutes)"
+    )
+    output.add_argument(
+        "--checkpoint-fails", default="go-on", choices=("go-on", "stop"), help="as on a full disk"
+    )
 
 
 def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> None:
@@ -128,6 +139,7 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
         known = ", ".join(formulations)
         raise ValueError(f"unknown formulation '{args.formulation}'; choose from {known}")
     element(args.element, args.points).check_dim(dim)
+    _check_gradient(args, dim)
     accuracy_of(args)
     operator(args.operator)
     if not 0 < args.step <= args.strain < 1:
@@ -136,32 +148,24 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
         )
     if not args.pressure > 0:
         raise ValueError(f"--pressure {args.pressure}: the lateral pressure must be positive")
+    if args.checkpoint_every is not None and args.checkpoint_every < 1:
+        raise ValueError(f"--checkpoint-every {args.checkpoint_every}: it must be 1 or more")
 
 
-def contact_law_for(args: argparse.Namespace) -> ContactLaw:
-    """The contact law that was asked for; ValueError for values that make none."""
-    rolling, bonds = args.rolling_friction, args.bonds
-    shared = {
-        "friction": args.friction,
-        "cohesion": args.cohesion,
-        "rolling": None if rolling is None else RollingResistance(rolling),
-        "bonds": None if bonds is None else Bonds(*bonds),
-    }
-    if args.contact_law not in CONTACT_LAWS:
-        known = ", ".join(CONTACT_LAWS)
-        raise ValueError(f"unknown contact law '{args.contact_law}'; choose from {known}")
-    return CONTACT_LAWS[args.contact_law](args, shared)
-
-
-#: Elastic laws by name, from arguments and what all laws share.
-CONTACT_LAWS = {
-    "linear": lambda args, shared: LinearContact(
-        modulus=args.modulus, stiffness_ratio=args.stiffness_ratio, **shared
-    ),
-    "hertz": lambda args, shared: HertzMindlin(
-        shear_modulus=args.shear_modulus, poisson_ratio=args.poisson_ratio, **shared
-    ),
-}
+def _check_gradient(args: argparse.Namespace, dim: int) -> None:
+    modulus = args.second_gradient_modulus
+    if args.gradient not in GRADIENTS:
+        raise ValueError(f"unknown gradient '{args.gradient}'; choose from {', '.join(GRADIENTS)}")
+    if args.gradient == "first":
+        if modulus is not None:
+            raise ValueError("--second-gradient-modulus needs --gradient second")
+        return
+    if modulus is None:
+        raise ValueError("--gradient second needs --second-gradient-modulus D, in N")
+    one_parameter(modulus, dim)
+    element(args.element, args.points).check_second_gradient()
+    if dim == 3 and args.formulation != "small":
+        raise ValueError("second gradient in 3D: use --formulation small")
 
 
 def packing_for(args: argparse.Namespace, comm: MPI.Comm, dim: int) -> Packing:
@@ -170,21 +174,27 @@ def packing_for(args: argparse.Namespace, comm: MPI.Comm, dim: int) -> Packing:
     Random grains are thrown into a wide periodic box, which is compressed to the pressure of the
     test. Where their contact law has bonds, those that touch then are cemented.
 
+    A run that is resumed has the packing of its checkpoint.
+
     Raises ValueError for another dimension, a file that is no such packing, and arguments that
     make no packing.
     """
     if dim not in (2, 3):
         raise ValueError(f"grains of {dim} dimensions: they are disks (2) or spheres (3)")
 
+    saved = Checkpoint.last(comm, checkpoint_folder(args)) if args.resume else None
+
     def prepare() -> Packing | None:
         if comm.rank > 0:
             return None
+        if saved is not None:
+            return _saved_packing(saved, args.packing, dim)
         if args.packing is not None:
             return load_packing(args.packing, dim)
         return random_packing(
             args.grains,
             args.radii,
-            contact_law_for(args),
+            contact_arguments.contact_law_for(args),
             args.pressure,
             args.compaction_friction,
             args.seed,
@@ -194,6 +204,48 @@ def packing_for(args: argparse.Namespace, comm: MPI.Comm, dim: int) -> Packing:
     return comm.bcast(together(comm, prepare))
 
 
+def checkpoint_folder(args: argparse.Namespace) -> Path:
+    """Where the run keeps its checkpoints."""
+    return args.output / "checkpoint"
+
+
+def _saved_packing(saved: Checkpoint, given: Path | None, dim: int) -> Packing:
+    """The packing of a checkpoint; ValueError where another one is given."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "packing.h5")
+        path.write_bytes(saved.packing)
+        packing = load_packing(path, dim)
+    if given is not None and not packing.equals(load_packing(given, dim)):
+        raise ValueError(f"{saved.path}: the checkpoint of another run: {given} is not its packing")
+    return packing
+
+
+def saving_of(args: argparse.Namespace, law: HomogenisedLaw | DistributedLaw) -> Saving:
+    """How the run is saved and resumed: it must share all arguments but those in `FREE`."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "packing.h5")
+        save_packing(path, law.response.committed.template)
+        packing = path.read_bytes()
+    scene = {name: value for name, value in vars(args).items() if name not in FREE}
+    return Saving(
+        checkpoint_folder(args),
+        _told(scene | {"accuracy": accuracy_of(args)}),
+        packing,
+        _told(getattr(args, "defaults", {})),
+        args.checkpoint_every,
+        args.resume,
+        args.checkpoint_fails == "stop",
+    )
+
+
+def _told(values: Mapping[str, object]) -> dict[str, str]:
+    """Values as text; a default tuple is the same as a list that was given."""
+    return {
+        name: str(list(value) if isinstance(value, tuple) else value)
+        for name, value in values.items()
+    }
+
+
 def accuracy_of(args: argparse.Namespace) -> Accuracy:
     """The preset, with the time step that was asked for."""
     chosen = preset(args.accuracy)
@@ -201,11 +253,19 @@ def accuracy_of(args: argparse.Namespace) -> Accuracy:
 
 
 def law_for(
-    args: argparse.Namespace, packing: Packing, size: int, comm: MPI.Comm
-) -> HomogenisedLaw:
-    """A copy of the packing at each of `size` material points of this rank."""
+    args: argparse.Namespace, packing: Packing, points: QuadraturePoints, comm: MPI.Comm
+) -> HomogenisedLaw | DistributedLaw:
+    """A copy of the packing at each of the points; on several ranks each has a home rank."""
     threads = script.threads_per_rank(comm) if args.threads is None else args.threads
-    return HomogenisedLaw(packing, size, accuracy_of(args), args.operator, threads)
+
+    def make(numbers: np.ndarray) -> HomogenisedLaw:
+        return HomogenisedLaw(packing, len(numbers), accuracy_of(args), args.operator, threads)
+
+    if comm.size == 1:
+        return make(points.index)
+    from .distribution import DistributedLaw
+
+    return DistributedLaw(comm, points.index, make)
 
 
 def convergence_of(args: argparse.Namespace) -> Convergence:

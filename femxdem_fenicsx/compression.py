@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
 from . import plotting, script
+from .checkpoint import Saving
 from .dem.packing import Packing
-from .fem.output import Fields, History
 from .fem.problem import Problem
-from .fem.stepping import LoadStepping, Outcome, StepRecord, walk
+from .fem.stepping import LoadStepping, StepRecord
 from .homogenised_law import HomogenisedLaw
+from .load_path import Run, Scene, follow
 from .plane_strain import PlaneStrain
 
 #: Of history.csv; a plane-strain run has the mean out-of-plane stress at the end of the row.
@@ -76,17 +76,13 @@ class Specimen:
         return float(total[0] / total[1])
 
 
-@dataclass
-class Run:
-    """How the load path ended, a row per step, and the seconds that solving took."""
-
-    outcome: Outcome
-    rows: list[dict[str, float]]
-    solving: float
-
-
 def load(
-    specimen: Specimen, strain: float, stepping: LoadStepping, path: Path, quiet: bool = False
+    specimen: Specimen,
+    strain: float,
+    stepping: LoadStepping,
+    path: Path,
+    quiet: bool = False,
+    saving: Saving | None = None,
 ) -> Run:
     """Compress the specimen to an axial strain; steps are cut where they do not converge.
 
@@ -94,38 +90,24 @@ def load(
         specimen: at its beginning.
         strain: of the first height, compression positive.
         stepping: sizes of steps.
-        path: of the fields, without suffix; history.csv goes beside them.
+        path: of the fields, without suffix; history.csv and run.log go beside them.
         quiet: show no progress.
+        saving: checkpoints to write, and perhaps one to go on from.
+
+    Raises what `load_path.follow` raises.
     """
-    comm = specimen.mesh.comm
-    columns = columns_of(specimen.law)
-    rows: list[dict[str, float]] = []
-    observing = 0.0
-    displacement = specimen.problem.motion.displacement
-    with (
-        script.LoadProgress(comm, strain, quiet) as progress,
-        Fields(path, specimen.points, displacement) as fields,
-        History(comm, path.parent / "history.csv", columns) as history,
-    ):
-        fields.write(0.0, fields_of(specimen.law))
-
-        def observe(record: StepRecord) -> None:
-            nonlocal observing
-            started = perf_counter()
-            rows.append(row_of(specimen, record))
-            history.write(rows[-1])
-            fields.write(record.load, fields_of(specimen.law))
-            progress.show(
-                record.load,
-                f"strain {record.load:.2%}  stress ratio {rows[-1]['stress_ratio']:.3f}"
-                f"  iterations {record.iterations}",
-            )
-            observing += perf_counter() - started
-
-        started = perf_counter()
-        outcome = walk(specimen.problem, specimen.compress, strain, stepping, observe)
-        solving = perf_counter() - started - observing
-    return Run(outcome, rows, solving)
+    scene = Scene(
+        specimen.problem,
+        specimen.compress,
+        columns_of(specimen.law),
+        lambda record: row_of(specimen, record),
+        lambda: fields_of(specimen.law),
+        lambda row: (
+            f"strain {row['axial_strain']:.2%}  stress ratio {row['stress_ratio']:.3f}"
+            f"  iterations {row['iterations']}"
+        ),
+    )
+    return follow(scene, strain, stepping, path, quiet, saving)
 
 
 def columns_of(law: HomogenisedLaw | PlaneStrain) -> tuple[str, ...]:
@@ -179,7 +161,7 @@ def packing_at_extreme(specimen: Specimen, values: np.ndarray) -> Packing:
     comm = specimen.mesh.comm
     largest = float(values.max(initial=-np.inf))
     _, owner = max((value, -rank) for rank, value in enumerate(comm.allgather(largest)))
-    packing = specimen.law.packing(int(values.argmax())) if comm.rank == -owner else None
+    packing = specimen.law.packing(int(values.argmax()) if comm.rank == -owner else None)
     return comm.bcast(packing, root=-owner)
 
 
@@ -199,6 +181,10 @@ def tell(title: str, specimen: Specimen, run: Run, seconds: float, quiet: bool =
     comm = specimen.mesh.comm
     if run.rows:
         script.print_table(comm, title, summary(specimen, run, seconds), quiet)
+    if run.signal:
+        if comm.rank == 0:
+            print(f"{run.ending}; --resume goes on with it")
+        return script.SIGNALLED + run.signal
     if run.outcome.lost_controllability:
         if comm.rank == 0:
             print(f"the load path ended early: {run.outcome.lost_controllability}")

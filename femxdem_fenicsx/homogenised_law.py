@@ -1,6 +1,5 @@
 """The FEM x DEM law: packings behind the Law protocol (Desrues section 2.4.2)."""
 
-from dataclasses import dataclass
 from time import perf_counter
 
 import h5py
@@ -24,38 +23,72 @@ FAILED_STIFFNESS = 1e-2
 STRAIN_QUANTUM = 2.0**-30
 
 
-@dataclass
-class Tally:
-    """What the packings have done so far, summed over all evaluations of this rank.
+#: What a `Tally` knows of each packing.
+COUNTS = np.dtype(
+    [
+        ("evaluations", np.int64),
+        ("steps", np.int64),
+        ("unfinished", np.int64),
+        ("unbalance", np.float64),
+        ("overlap", np.float64),
+    ]
+)
 
-    evaluations: of the batch. packings: evaluations of a packing. steps: of the DEM. unfinished:
-    evaluations of a packing that ended at the hold limit. worst_unbalance: the largest left by any
-    of them (Desrues eq. 19). worst_overlap: the largest of a contact over its grains' mean
-    diameter. seconds: spent in evaluations. tangent_seconds: in tangents.
+
+class Tally:
+    """What the packings of this rank have done so far, in all their evaluations.
+
+    Attributes:
+        by_packing: (n,) `COUNTS`: evaluations; steps of the DEM; evaluations that ended at the
+            hold limit; the largest unbalance left by any (Desrues eq. 19); the largest overlap of
+            a contact over its grains' mean diameter. It moves with the packings.
+        evaluations: of the batch. seconds: spent in them. tangent_seconds: in tangents.
     """
 
-    evaluations: int = 0
-    packings: int = 0
-    steps: int = 0
-    unfinished: int = 0
-    worst_unbalance: float = 0.0
-    worst_overlap: float = 0.0
-    seconds: float = 0.0
-    tangent_seconds: float = 0.0
+    def __init__(self, size: int):
+        self.by_packing = np.zeros(size, COUNTS)
+        self.clear()
 
     def clear(self) -> None:
         """Start counting anew."""
-        self.__init__()
+        self.by_packing[:] = 0
+        self.evaluations, self.seconds, self.tangent_seconds = 0, 0.0, 0.0
 
     def add(self, outcome: Outcome, seconds: float) -> None:
         """Count one evaluation of the batch."""
+        counts = self.by_packing
+        counts["evaluations"] += 1
+        counts["steps"] += outcome.loading_steps + outcome.hold_steps
+        counts["unfinished"] += ~outcome.at_rest
+        np.maximum(counts["unbalance"], outcome.unbalance, out=counts["unbalance"])
+        np.maximum(counts["overlap"], outcome.overlap, out=counts["overlap"])
         self.evaluations += 1
-        self.packings += len(outcome.stress)
-        self.steps += int((outcome.loading_steps + outcome.hold_steps).sum())
-        self.unfinished += int((~outcome.at_rest).sum())
-        self.worst_unbalance = max(self.worst_unbalance, float(outcome.unbalance.max(initial=0)))
-        self.worst_overlap = max(self.worst_overlap, float(outcome.overlap.max(initial=0)))
         self.seconds += seconds
+
+    @property
+    def packings(self) -> int:
+        """Evaluations of a packing."""
+        return int(self.by_packing["evaluations"].sum())
+
+    @property
+    def steps(self) -> int:
+        """Of the DEM, summed over the packings."""
+        return int(self.by_packing["steps"].sum())
+
+    @property
+    def unfinished(self) -> int:
+        """Evaluations of a packing that ended at the hold limit."""
+        return int(self.by_packing["unfinished"].sum())
+
+    @property
+    def worst_unbalance(self) -> float:
+        """The largest left by any evaluation of any packing."""
+        return float(self.by_packing["unbalance"].max(initial=0.0))
+
+    @property
+    def worst_overlap(self) -> float:
+        """The largest of any contact in any evaluation."""
+        return float(self.by_packing["overlap"].max(initial=0.0))
 
 
 class HomogenisedLaw:
@@ -64,7 +97,13 @@ class HomogenisedLaw:
     Attributes:
         dim: of the packings, 2 or 3. size: number of material points. tally: see `Tally`.
         response: the packings, committed and trial.
+        FIELDS: the attributes that have a value for each point.
     """
+
+    FIELDS = (
+        "stress", "deformation", "deviatoric_strain", "void_ratio", "coordination_number",
+        "fabric_anisotropy", "failed",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -79,10 +118,12 @@ class HomogenisedLaw:
         self.response = Response(packing, size, accuracy, threads)
         self.dim, self.size = packing.dim, size
         self._identity = np.eye(self.dim)
-        self.tally = Tally()
+        self.tally = Tally(size)
+        self._committed_tally = self.tally.by_packing.copy()
         self._F = np.broadcast_to(self._identity, (size, self.dim, self.dim))
         self._initial_box = self.response.committed.box.copy()
-        stiffest = np.abs(operator("UKO")(self.response, self._F)).max(initial=0.0)
+        one = Response(packing, 1, accuracy)  # a rank may have no packing at first
+        stiffest = np.abs(operator("UKO")(one, self._identity[None])).max()
         self._failed_stiffness = FAILED_STIFFNESS * max(stiffest, 1e-6 * packing.contact_modulus())
         self._grains = packing.size
         self._initial_void_ratio = packing.void_ratio
@@ -122,6 +163,7 @@ class HomogenisedLaw:
     def commit(self) -> None:
         """The trial becomes the state."""
         self.response.commit()
+        self._committed_tally = self.tally.by_packing.copy()
         self._F = np.broadcast_to(self._identity, (self.size, self.dim, self.dim))
 
     def discard(self) -> None:
@@ -129,32 +171,74 @@ class HomogenisedLaw:
         self.response.discard()
         self._F = np.broadcast_to(self._identity, (self.size, self.dim, self.dim))
 
+    def state(self) -> dict[str, np.ndarray]:
+        """The committed state, the whole of it: arrays with one row per packing."""
+        response = self.response
+        response.committed.clear_unused()
+        arrays = {name: getattr(response.committed, name) for name in PackingBatch.STATE}
+        arrays = {name: array for name, array in arrays.items() if array is not None}
+        for name, array in response.committed_outcome._asdict().items():
+            arrays[f"outcome/{name}"] = array
+        return arrays | {
+            "initial_box": self._initial_box,
+            "cost": response.cost,
+            "tally": self._committed_tally,
+            "tally_with_trials": self.tally.by_packing,
+        }
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Take over what `state` gave, here or elsewhere, of any number of packings.
+
+        The arrays are this law's from then on.
+
+        Raises ValueError, and changes nothing, for arrays other than this law's.
+        """
+        own = self.state()
+        missing = sorted(own.keys() ^ state.keys())
+        if missing:
+            raise ValueError(f"a state of another law: not in both are {', '.join(missing)}")
+        size = len(state["box"])
+        for name, array in own.items():
+            shape = (size, *array.shape[1:])
+            if state[name].shape != shape:
+                raise ValueError(f"{name} has shape {state[name].shape}, this law has {shape}")
+        state = {name: np.asarray(array, own[name].dtype) for name, array in state.items()}
+        self._initial_box = state.pop("initial_box")
+        self._committed_tally = state.pop("tally")
+        self.tally.by_packing = state.pop("tally_with_trials")
+        outcome = {name: state.pop(f"outcome/{name}") for name in Outcome._fields}
+        self.size = size
+        self.response.restore(state, Outcome(**outcome), state.pop("cost"))
+        self.discard()
+
     def save(self, group: h5py.Group) -> None:
-        """Write the committed state, the whole of it, into an HDF5 group."""
-        for name in PackingBatch.STATE:
-            group[name] = getattr(self.response.committed, name)
-        for name, value in self.response.committed_outcome._asdict().items():
-            group[f"outcome/{name}"] = value
-        group["initial_box"] = self._initial_box
-        group.attrs["failed_stiffness"] = self._failed_stiffness
+        """Write the committed state into an HDF5 group, one row per packing."""
+        for name, array in self.state().items():
+            if name != "tally_with_trials":  # a resumed run tries again
+                group[name] = array
 
     def load(self, group: h5py.Group) -> None:
         """Read back, bit for bit, what `save` wrote; ValueError for a state of another shape."""
-        response = self.response
-        for name in PackingBatch.STATE:
-            target = getattr(response.committed, name)
-            if group[name].shape != target.shape:
-                raise ValueError(
-                    f"{group.file.filename}: {name} has shape {group[name].shape}, this law has"
-                    f" {target.shape}"
-                )
-        for name in PackingBatch.STATE:
-            getattr(response.committed, name)[:] = group[name][()]
-        for name, value in response.committed_outcome._asdict().items():
-            value[:] = group[f"outcome/{name}"][()]
-        self._initial_box[:] = group["initial_box"][()]
-        self._failed_stiffness = float(group.attrs["failed_stiffness"])
-        self.discard()
+        if len(group["box"]) != self.size:
+            shape, own = group["box"].shape, (self.size, self.dim, self.dim)
+            raise ValueError(f"{group.file.filename}: box has shape {shape}, this law has {own}")
+        state = {}
+        group.visititems(
+            lambda name, item: (
+                state.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None
+            )
+        )
+        self.restore(state | {"tally_with_trials": state["tally"].copy()})
+
+    @property
+    def cost(self) -> np.ndarray:
+        """Steps of the DEM that each packing took in its last evaluation, (n,)."""
+        return self.response.cost
+
+    @property
+    def threads(self) -> int:
+        """Threads that share the packings."""
+        return self.response.threads
 
     @property
     def stress(self) -> np.ndarray:
@@ -198,6 +282,6 @@ class HomogenisedLaw:
     def _failed(self, outcome: Outcome) -> np.ndarray:
         return outcome.contacts < FAILED_CONTACTS_PER_GRAIN * self._grains
 
-    def packing(self, point: int) -> Packing:
-        """The committed packing of one point."""
-        return self.response.committed.packing(point)
+    def packing(self, point: int | None) -> Packing | None:
+        """The committed packing of one point; None of none."""
+        return None if point is None else self.response.committed.packing(point)

@@ -68,6 +68,9 @@ class _Analytic:
     In 2D they are laws of plane strain.
     """
 
+    FIELDS = ("stress",)
+    threads = 1
+
     def __init__(self, dim: int, **state: np.ndarray):
         self.dim = dim
         self.size = len(next(iter(state.values())))
@@ -81,13 +84,27 @@ class _Analytic:
     def discard(self) -> None:
         self._trial = self._state
 
+    def state(self) -> dict[str, np.ndarray]:
+        """The committed state: arrays with one row per point."""
+        return self._state
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Take over what `state` gave, of any number of points."""
+        self._state = {name: np.array(state[name]) for name in self._state}
+        self.size = len(next(iter(self._state.values())))
+        self._trial = self._state
+
+    @property
+    def cost(self) -> np.ndarray:
+        """Nothing that could be counted."""
+        return np.zeros(self.size, np.int64)
+
     def save(self, group) -> None:
         for name, values in self._state.items():
             group.create_dataset(name, data=values)
 
     def load(self, group) -> None:
-        self._state = {name: group[name][...] for name in self._state}
-        self._trial = self._state
+        self.restore({name: group[name][...] for name in self._state})
 
 
 def elasticity(young: float, poisson: float, dim: int = 2) -> np.ndarray:
@@ -209,10 +226,11 @@ class Softening(_Analytic):
 
     def __init__(self, size: int, young: float, poisson: float, threshold, dim: int = 2):
         self._stiffness = elasticity(young, poisson, dim)
-        self._threshold = np.broadcast_to(np.asarray(threshold, dtype=float), (size,)).copy()
-        if not (self._threshold > 0).all():
-            raise ValueError(f"softening threshold {self._threshold.min()}: it must be positive")
-        super().__init__(dim, strain=np.zeros((size, dim, dim)), kappa=self._threshold)
+        threshold = np.broadcast_to(np.asarray(threshold, dtype=float), (size,)).copy()
+        if not (threshold > 0).all():
+            raise ValueError(f"softening threshold {threshold.min()}: it must be positive")
+        strain = np.zeros((size, dim, dim))
+        super().__init__(dim, strain=strain, kappa=threshold, threshold=threshold)
 
     @property
     def stress(self) -> np.ndarray:
@@ -225,18 +243,84 @@ class Softening(_Analytic):
         kappa = np.maximum(self._state["kappa"], np.linalg.norm(strain, axis=(1, 2)))
         elastic = np.einsum("ijkl,nkl->nij", self._stiffness, strain)
         intact = self._intact(kappa)
-        self._trial = {"strain": strain, "kappa": kappa}
+        self._trial = self._state | {"strain": strain, "kappa": kappa}
         self._last = (strain, elastic, kappa, intact)
         return intact[:, None, None] * elastic
 
     def _intact(self, kappa: np.ndarray) -> np.ndarray:
-        ratio = kappa / self._threshold
+        ratio = kappa / self._state["threshold"]
         return np.exp(1 - ratio) / ratio
 
     def tangent(self) -> np.ndarray:
         strain, elastic, kappa, intact = self._last
         grows = kappa > self._state["kappa"]
-        slope = np.where(grows, -intact * (1 / self._threshold + 1 / kappa) / kappa, 0.0)
+        threshold = self._state["threshold"]
+        slope = np.where(grows, -intact * (1 / threshold + 1 / kappa) / kappa, 0.0)
         return intact[:, None, None, None, None] * self._stiffness + np.einsum(
             "n,nij,nkl->nijkl", slope, elastic, strain
+        )
+
+
+class ShearSoftening(_Analytic):
+    """Damage in shear alone, which makes shear bands: stress = k tr(e) I + 2 G (1 - D) dev e.
+
+    e is the strain, small and summed over the steps, k = lambda + 2 G / d. With kappa the largest
+    norm of dev e so far, 1 - D = (k0 / kappa) exp((1 - kappa / k0) / m) from kappa = k0 on: the
+    deviator of the stress rises linearly up to there and falls exponentially behind it.
+
+    Args:
+        size: number of points.
+        young: Young's modulus, Pa.
+        poisson: Poisson's ratio.
+        threshold: k0, the norm of dev e at the peak; one value, or one per point (size,).
+        ductility: m; behind the peak the curve falls with the slope of the rise over m.
+        dim: 2 or 3.
+    """
+
+    def __init__(
+        self, size: int, young: float, poisson: float, threshold, ductility: float, dim: int = 2
+    ):
+        lame, self._shear = _lame(young, poisson)
+        self._bulk = lame + 2 * self._shear / dim
+        self._threshold = np.broadcast_to(np.asarray(threshold, dtype=float), (size,)).copy()
+        self._ductility = ductility
+        if not ((self._threshold > 0).all() and ductility > 0):
+            raise ValueError(
+                f"softening threshold {self._threshold.min()}, ductility {ductility}: both must be "
+                "positive"
+            )
+        super().__init__(dim, strain=np.zeros((size, dim, dim)), kappa=self._threshold)
+
+    @property
+    def deviatoric_strain(self) -> np.ndarray:
+        """Committed norm of dev e, (n,)."""
+        return np.linalg.norm(self._deviator(self._state["strain"]), axis=(1, 2))
+
+    def evaluate(self, F: np.ndarray) -> np.ndarray:
+        delta = np.eye(self.dim)
+        strain = self._state["strain"] + 0.5 * (F + F.transpose(0, 2, 1)) - delta
+        deviator = self._deviator(strain)
+        kappa = np.maximum(self._state["kappa"], np.linalg.norm(deviator, axis=(1, 2)))
+        ratio = kappa / self._threshold
+        intact = np.exp((1 - ratio) / self._ductility) / ratio
+        self._trial = {"strain": strain, "kappa": kappa}
+        self._last = (deviator, kappa, intact)
+        mean = np.trace(strain, axis1=1, axis2=2)[:, None, None] * delta
+        return self._bulk * mean + 2 * self._shear * intact[:, None, None] * deviator
+
+    def _deviator(self, strain: np.ndarray) -> np.ndarray:
+        trace = np.trace(strain, axis1=1, axis2=2)[:, None, None]
+        return strain - trace * np.eye(self.dim) / self.dim
+
+    def tangent(self) -> np.ndarray:
+        deviator, kappa, intact = self._last
+        delta, grows = np.eye(self.dim), kappa > self._state["kappa"]
+        spheric = np.einsum("ij,kl->ijkl", delta, delta)
+        symmetric = np.einsum("ik,jl->ijkl", delta, delta) + np.einsum("il,jk->ijkl", delta, delta)
+        fall = intact * (1 / (self._ductility * self._threshold) + 1 / kappa) / kappa
+        slope = np.where(grows, -fall, 0.0)
+        return (
+            self._bulk * spheric
+            + self._shear * intact[:, None, None, None, None] * (symmetric - 2 / self.dim * spheric)
+            + 2 * self._shear * np.einsum("n,nij,nkl->nijkl", slope, deviator, deviator)
         )

@@ -15,6 +15,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import ufl
+from dolfinx import fem
+
+from femxdem_fenicsx.fem.quadrature_points import QuadraturePoints
 
 
 def deformation_gradient(u):
@@ -30,10 +33,8 @@ def small(u, stress, tangent, dx, pressures: Sequence = ()) -> tuple[ufl.Form, u
     space = u.function_space
     w, du = ufl.TestFunction(space), ufl.TrialFunction(space)
     residual = ufl.inner(stress, ufl.grad(w)) * dx
-    normal = ufl.FacetNormal(u.function_space.mesh)
-    for pressure, ds in pressures:
-        residual += pressure * ufl.inner(normal, w) * ds
-    jacobian = ufl.inner(_increment(tangent, du), ufl.grad(w)) * dx
+    residual += pressure_work(pressures, ufl.FacetNormal(space.mesh), w)
+    jacobian = ufl.inner(stress_increment(tangent, du), ufl.grad(w)) * dx
     return residual, jacobian
 
 
@@ -47,15 +48,18 @@ def finite(u, stress, tangent, dx, pressures: Sequence = ()) -> tuple[ufl.Form, 
     F = deformation_gradient(u)
     cofactor = ufl.det(F) * ufl.inv(F).T
     residual = ufl.inner(stress * cofactor, ufl.grad(w)) * dx
-    normal = ufl.FacetNormal(u.function_space.mesh)
-    for pressure, ds in pressures:
-        residual += pressure * ufl.inner(cofactor * normal, w) * ds
+    residual += pressure_work(pressures, cofactor * ufl.FacetNormal(space.mesh), w)
     jacobian = ufl.derivative(residual, u, du)
-    jacobian += ufl.inner(_increment(tangent, du) * cofactor, ufl.grad(w)) * dx
+    jacobian += ufl.inner(stress_increment(tangent, du) * cofactor, ufl.grad(w)) * dx
     return residual, jacobian
 
 
-def _increment(tangent, du):
+def pressure_work(pressures: Sequence, normal, w):
+    """Virtual work of pressures, pairs (p, ds), against the area vector per area of ds."""
+    return sum(pressure * ufl.inner(normal, w) * ds for pressure, ds in pressures)
+
+
+def stress_increment(tangent, du):
     """C : dF for the quadrature function of a tangent, (d*d, d*d)."""
     d = len(du)
     dF = ufl.grad(du)
@@ -71,3 +75,36 @@ def _increment(tangent, du):
 
 
 FORMULATIONS = {"small": small, "finite": finite}
+
+
+class FirstGradient:
+    """A first-gradient continuum: what is solved for, and its equilibrium.
+
+    Attributes:
+        unknown: the step's displacement u, m.
+        displacement: u, as a UFL expression.
+        space: of displacements, to fix components of.
+        F: deformation gradient of the step.
+        states: what the form remembers: nothing.
+
+    Args:
+        points: of the mesh.
+        formulation: one of `FORMULATIONS`.
+    """
+
+    states = ()
+
+    def __init__(self, points: QuadraturePoints, formulation: str = "finite"):
+        self._equilibrium, self._points = FORMULATIONS[formulation], points
+        self.unknown = self.displacement = fem.Function(points.element.space(points.mesh))
+        self.space = self.unknown.function_space
+        self.F = deformation_gradient(self.displacement)
+
+    def straight(self, side, normal: int, component: int) -> list:
+        """Conditions on the gradient along a side with a uniform component: none here."""
+        return []
+
+    def equilibrium(self, stress, tangent, pressures: Sequence = ()) -> tuple[ufl.Form, ufl.Form]:
+        """Residual and Jacobian; see the head of this module."""
+        dx = self._points.element.dx(self._points.mesh)
+        return self._equilibrium(self.unknown, stress, tangent, dx, pressures)

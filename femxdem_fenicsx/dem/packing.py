@@ -1,6 +1,6 @@
 """Packing: one periodic assembly of grains. PackingBatch: many of them, for the kernels."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -237,6 +237,15 @@ class Packing:
         k_n, _ = elasticity.stiffnesses(elasticity.coefficient(radius, radius), overlap)
         return k_n / (self.thickness if self.dim == 2 else radius)
 
+    def equals(self, other: "Packing") -> bool:
+        """Whether the other one has the same grains at the same places, with the same law."""
+        return all(
+            np.array_equal(getattr(self, field.name), getattr(other, field.name))
+            if isinstance(getattr(self, field.name), np.ndarray)
+            else getattr(self, field.name) == getattr(other, field.name)
+            for field in fields(self)
+        )
+
     def but(self, **changes) -> "Packing":
         """A copy with some attributes changed; other contacts remember only what is given."""
         if "contacts" in changes:
@@ -355,6 +364,13 @@ class PackingBatch:
         self.second[b, :count] = pairs[:, 1]
         self.tangential[b, :, :count] = packing.tangential[order].T
         self.memory[b, :, :count] = packing.memory[:, order]
+
+    def clear_unused(self) -> None:
+        """Zero the room behind the last contact, so that equal states are equal arrays."""
+        unused = np.arange(self.second.shape[1]) >= self.row[:, -1:]
+        self.second[unused] = 0
+        np.moveaxis(self.tangential, 1, 2)[unused] = 0.0
+        np.moveaxis(self.memory, 1, 2)[unused] = 0.0
 
     def reduce_boxes(self) -> None:
         """Replace every box that is too skewed by an equivalent one, h <- h A, s <- A^-1 s.

@@ -4,10 +4,12 @@ import warnings
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import replace
 
 import numpy as np
 
-from .accuracy import Accuracy
+from .accuracy import PRESETS, Accuracy
+from .contacts import ContactLaw
 from .dynamics import NO_ROOM, OK, Workspace, workspace
 from .homogenisation import fabric, largest_overlap, stress, touching
 from .loading import Outcome, deform_in_turn, logarithm, pressure_of, settings, shear_of
@@ -36,6 +38,24 @@ def warn_of_overlaps(overlap: float) -> None:
         )
 
 
+_loaded: set[tuple[ContactLaw, int]] = set()
+
+
+def load_kernels(law: ContactLaw, dim: int) -> None:
+    """Deform a grain on its own, so that this process loads these kernels before any other.
+
+    A cached kernel holds copies of those that it calls, optimised once more, and of two copies a
+    process runs the one that it loaded first. They differ by rounding. A rank that prepares a
+    packing must run the same as one that does not, and a run the same as when it is resumed.
+    """
+    if (law, dim) in _loaded:
+        return
+    _loaded.add((law, dim))
+    radius = 1e-3
+    grain = Packing(10 * radius * np.eye(dim), np.full((1, dim), 0.5), [radius], law)
+    Response(grain, 1, PRESETS["fast"]).deform(np.eye(dim)[None])
+
+
 class Response:
     """B packings with a committed state and a trial state.
 
@@ -55,6 +75,7 @@ class Response:
         """
         if threads < 1:
             raise ValueError(f"threads must be 1 or more, got {threads}")
+        load_kernels(packing.law, packing.dim)
         self.committed = PackingBatch.of(packing, size)
         self.trial = self.committed.copy()
         self.material = packing.material
@@ -76,7 +97,7 @@ class Response:
         self.committed_outcome.overlap[:] = overlap
         self.committed_outcome.at_rest[:] = True
         self._first_overlap = overlap
-        self._cost = np.zeros(size)
+        self.cost = np.zeros(size, np.int64)
         self.discard()
 
     @property
@@ -93,7 +114,7 @@ class Response:
         """
         self.outcome = self._run(F, np.arange(self.size), self.trial.state)
         self.latest = self.trial
-        self._cost = self.outcome.loading_steps + self.outcome.hold_steps
+        self.cost = self.outcome.loading_steps + self.outcome.hold_steps
         return self.outcome
 
     def probe(self, F: np.ndarray, packings: np.ndarray) -> Outcome:
@@ -126,6 +147,16 @@ class Response:
             steps[b] /= np.sqrt(max(stiffening, 1.0))
         return steps
 
+    def restore(self, state: dict[str, np.ndarray], outcome: Outcome, cost: np.ndarray) -> None:
+        """Take over committed arrays of `PackingBatch.STATE`, what was measured, and the cost.
+
+        Of any number of packings, which have the template's grains. The trial is forgotten.
+        """
+        room = {name: np.empty_like(array) for name, array in state.items()}
+        self.committed, self.trial = (replace(self.committed, **s) for s in (state, room))
+        self.committed_outcome, self.cost = outcome, cost
+        self.discard()
+
     def _run(self, F, packings, new) -> Outcome:
         F = np.ascontiguousarray(F, dtype=np.float64)
         log_F = logarithm(F)
@@ -134,7 +165,7 @@ class Response:
         outcome = Outcome.of(len(packings), self.committed.template.dim)
         places = np.zeros_like(packings) if new is None else packings
         status = np.full(len(packings), NO_ROOM)
-        waiting = np.argsort(-self._cost[packings], kind="stable")  # expensive ones first
+        waiting = np.argsort(-self.cost[packings], kind="stable")  # expensive ones first
         while len(waiting):
             tickets = np.zeros(1, np.int64)
 

@@ -99,6 +99,11 @@ def serendipity_element(shape: tuple[int, ...] = ()):
     return basix.ufl.blocked_element(scalar, shape) if shape else scalar
 
 
+def mixed_element(elements: Sequence):
+    """Element of functions that are solved for together."""
+    return ufl.MixedElement(elements) if UFL_ELEMENTS else basix.ufl.mixed_element(elements)
+
+
 def _element(family: str, cell: str, degree: int, shape: tuple[int, ...]):
     if UFL_ELEMENTS:
         return _ufl_element(family, cell, degree, shape)
@@ -135,17 +140,6 @@ def vertex_weights(cell: str, degree: int) -> np.ndarray:
     return basix.create_element(lagrange, kind, 1).tabulate(0, nodes)[0, :, :, 0].round(12)
 
 
-def xdmf_tensors(values: np.ndarray) -> np.ndarray:
-    """Tensors (n, d, d) in the shape that XDMFFile writes with each component in its place.
-
-    0.5 fills them up to 3 x 3, and takes 3 x 3 in 2D for nodal values; 0.9 does not fill up.
-    """
-    if UFL_ELEMENTS or values.ndim < 3:
-        return values
-    missing = 3 - values.shape[-1]
-    return np.pad(values, [(0, 0), (0, missing), (0, missing)])
-
-
 # ---- meshes ------------------------------------------------------------------------------------
 
 
@@ -179,6 +173,33 @@ def geometry_dofmap(mesh) -> np.ndarray:
 def dofmap(space) -> np.ndarray:
     """Blocked dofs of each cell, ghosts included, (c, k)."""
     return _rows(space.dofmap.list, number_of_cells(space.mesh)[1])
+
+
+def vtk_order(mesh, nodes: int) -> np.ndarray:
+    """Places in DOLFINx' order of a cell's nodes, in the order of VTK and XDMF, (nodes,)."""
+    kind = dolfinx.cpp.mesh.to_type(mesh.ufl_cell().cellname())
+    return np.argsort(dolfinx.cpp.io.perm_vtk(kind, nodes))
+
+
+def cell_values(function) -> np.ndarray:
+    """Dofs of a function on each cell, ghosts included, (c, k): the same on any number of ranks.
+
+    For elements with at most one node in the inside of an edge or face, whose order on a cell
+    follows from that cell alone.
+    """
+    space = function.function_space
+    block = space.dofmap.index_map_bs
+    return function.x.array.reshape(-1, block)[dofmap(space)].reshape(
+        number_of_cells(space.mesh)[1], -1
+    )
+
+
+def set_cell_values(function, values: np.ndarray) -> None:
+    """Give a function the dofs that `cell_values` has read, ghosts included."""
+    space = function.function_space
+    block = space.dofmap.index_map_bs
+    dofs = dofmap(space)
+    function.x.array.reshape(-1, block)[dofs] = values.reshape(*dofs.shape, block)
 
 
 def _rows(adjacency, count: int) -> np.ndarray:

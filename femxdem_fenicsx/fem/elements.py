@@ -40,11 +40,39 @@ class Element:
 
     def space(self, mesh):
         """Space of displacements (m) on a mesh made for this element."""
-        gdim = mesh.geometry.dim
+        return _dolfinx.functionspace(mesh, self._displacement(mesh.geometry.dim))
+
+    def _displacement(self, gdim: int):
         if self.name == "Q8":
-            return _dolfinx.functionspace(mesh, _dolfinx.serendipity_element((gdim,)))
-        lagrange = _dolfinx.lagrange_element(self.cell, self.degree, (gdim,))
-        return _dolfinx.functionspace(mesh, lagrange)
+            return _dolfinx.serendipity_element((gdim,))
+        return _dolfinx.lagrange_element(self.cell, self.degree, (gdim,))
+
+    def check_second_gradient(self) -> None:
+        """Raise ValueError, with the elements to choose from, where there is no mixed space."""
+        if self.degree != 2:
+            every = (next(iter(ELEMENTS[name].values())) for name in names(self.dim))
+            known = ", ".join(other.name for other in every if other.degree == 2)
+            raise ValueError(
+                f"element {self.name} has no mixed space for the second gradient: choose one of "
+                f"{known}"
+            )
+
+    def second_gradient_space(self, mesh):
+        """Space of (u, nu, lambda): this element's u, linear nu, lambda constant in each cell.
+
+        nu and lambda are (d, d) tensors (Desrues section 4.3). On triangles and tetrahedra lambda
+        is linear and continuous: a constant one is not stable there (docs/second-gradient.md).
+
+        Raises:
+            ValueError: an element of degree one, which has no space that is stable.
+        """
+        self.check_second_gradient()
+        d = mesh.geometry.dim
+        micro = _dolfinx.lagrange_element(self.cell, 1, (d, d))
+        boxes = self.cell in ("quadrilateral", "hexahedron")
+        multiplier = _dolfinx.discontinuous_element(self.cell, (d, d)) if boxes else micro
+        mixed = _dolfinx.mixed_element([self._displacement(d), micro, multiplier])
+        return _dolfinx.functionspace(mesh, mixed)
 
     def dx(self, mesh) -> ufl.Measure:
         """Volume measure on this element's quadrature points."""

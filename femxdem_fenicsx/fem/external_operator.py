@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 from dolfinx import fem
 
+from ..collective import Interrupted, together
 from ..law import InadmissibleDeformation, Law
-from . import _dolfinx
-from .collective import together
+from .point_state import PointState
 from .quadrature_points import QuadraturePoints
 
 
@@ -17,9 +19,11 @@ class ExternalOperator:
     Attributes:
         law: what computes the stress.
         points: its points.
+        states: what the weak form remembers beside the law.
         stress: Cauchy stress, quadrature function (d, d), Pa.
         tangent: C, quadrature function (d*d, d*d), Pa.
         evaluations: how often the law was evaluated.
+        interrupted: asked before each evaluation whether the run is to stop.
 
     Args:
         deformation_gradient: UFL expression (d, d) of the step's displacement.
@@ -27,27 +31,33 @@ class ExternalOperator:
         points: where to evaluate.
         largest_increment: of a component of F - I in one step; an iterate beyond it went astray,
             and a law of grains would be long in following it.
+        states: what the weak form itself remembers; they live and are kept with the law's.
 
     Raises:
         ValueError: the law has another dimension or number of points.
     """
 
     def __init__(
-        self, deformation_gradient, law: Law, points: QuadraturePoints, largest_increment=0.5
+        self,
+        deformation_gradient,
+        law: Law,
+        points: QuadraturePoints,
+        largest_increment: float = 0.5,
+        states: Sequence[PointState] = (),
     ):
-        self.law, self.points = law, points
+        self.law, self.points, self.states = law, points, tuple(states)
         self._largest = largest_increment
         mesh = points.mesh
         d = mesh.geometry.dim
         together(mesh.comm, self._check_law, d)
         self._shape = (points.size, d, d)
         self._F = fem.Expression(deformation_gradient, points.reference)
-        self.stress = self._function((d, d))
-        self.tangent = self._function((d * d, d * d))
+        self.stress = points.function((d, d))
+        self.tangent = points.function((d * d, d * d))
         self.stress.name, self.tangent.name = "stress", "tangent"
-        dofs = _dolfinx.dofmap(self.stress.function_space)
-        self._dofs = dofs[: len(points.cells)].ravel()
+        self._rows = points.rows(self.stress)
         self.evaluations = 0
+        self.interrupted: Callable[[], bool] = lambda: False
 
     def _check_law(self, d: int) -> None:
         if (self.law.dim, self.law.size) != (d, self.points.size):
@@ -56,25 +66,24 @@ class ExternalOperator:
                 f"{self.points.size} in {d}D on this rank: make the law with points.size"
             )
 
-    def _function(self, shape: tuple[int, int]) -> fem.Function:
-        element = self.points.element
-        quadrature = _dolfinx.quadrature_element(element.cell, element.quadrature_degree, shape)
-        return fem.Function(_dolfinx.functionspace(self.points.mesh, quadrature))
-
     def evaluate(self) -> None:
         """Bring `stress` up to date with u.
 
         Raises:
             InadmissibleDeformation: on all ranks, where F somewhere is not finite, turns a point
                 inside out or is too far from I, or where the law says so.
+            Interrupted: on all ranks, where the run is to stop.
             Exception: what else the law raises, on all ranks.
         """
         comm = self.points.mesh.comm
         F = self.points.evaluate(self._F, self._shape[1:])
+        together(comm, self._check, F)  # before the law: its ranks may exchange data
         stress = together(comm, self._evaluate, F)
         self._set(self.stress, stress)
 
-    def _evaluate(self, F: np.ndarray) -> np.ndarray:
+    def _check(self, F: np.ndarray) -> None:
+        if self.interrupted():
+            raise Interrupted("the run was asked to stop")
         far = np.abs(F - np.eye(F.shape[1])).max(axis=(1, 2), initial=0.0)
         with np.errstate(invalid="ignore"):
             wrong = np.flatnonzero(~((far <= self._largest) & (np.linalg.det(F) > 0)))
@@ -83,6 +92,8 @@ class ExternalOperator:
                 f"deformation gradient {F[wrong[0]].tolist()} of one step at quadrature point "
                 f"{self.points.index[wrong[0]]}: the iterate went astray or the step is too large"
             )
+
+    def _evaluate(self, F: np.ndarray) -> np.ndarray:
         self.evaluations += 1
         stress = np.asarray(self.law.evaluate(F))
         if stress.shape != self._shape:
@@ -93,9 +104,19 @@ class ExternalOperator:
         """Bring `tangent` up to date with the last trial of the law."""
         self._set(self.tangent, together(self.points.mesh.comm, self.law.tangent))
 
+    def commit(self) -> None:
+        """Make the last trial the state of the law, and of the form's own states."""
+        for state in self.states:
+            state.commit()
+        self.law.commit()
+
+    def discard(self) -> None:
+        """Forget the last trial."""
+        self.law.discard()
+
     def _set(self, function: fem.Function, values: np.ndarray) -> None:
         """Values at owned points; the ghosts get those of their owners."""
-        function.x.array.reshape(-1, self._block(function))[self._dofs] = values.reshape(
+        function.x.array.reshape(-1, self._block(function))[self._rows] = values.reshape(
             self.points.size, -1
         )
         function.x.scatter_forward()

@@ -16,15 +16,17 @@ class MeshMotion:
             is what XDMF can hold.
 
     Args:
-        increment: displacement of one step, in any space on the mesh.
+        increment: displacement of one step, in any space on the mesh; or a function of a mixed
+            space that begins with it.
         cell: type of the mesh's cells.
         degree: degree of the geometry.
     """
 
     def __init__(self, increment: fem.Function, cell: str, degree: int):
-        self._increment = increment
         self._mesh = increment.function_space.mesh
         self._dim = self._mesh.geometry.dim
+        mixed = increment.ufl_shape != (self._dim,)
+        self._increment = increment.sub(0) if mixed else increment
         nodes = _dolfinx.lagrange_element(cell, degree, (self._dim,))
         self._nodal = fem.Function(_dolfinx.functionspace(self._mesh, nodes))
         self.displacement = fem.Function(self._nodal.function_space)

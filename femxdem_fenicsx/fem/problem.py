@@ -6,15 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import dolfinx.fem.petsc
+import h5py
 import numpy as np
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from ..collective import together
 from ..law import InadmissibleDeformation
 from . import _dolfinx
-from .collective import together
 from .external_operator import ExternalOperator
 from .mesh_motion import MeshMotion
 from .options import PREFIX, defaults
@@ -100,13 +101,14 @@ class Problem:
     Attributes:
         snes: PETSc's solver, options prefix `femxdem_`; its command line options win over our
             defaults (see :mod:`femxdem_fenicsx.fem.options`).
-        u: displacement of the step, m, on the geometry at its start.
+        u: displacement of the step, m, on the geometry at its start; or a function of a mixed
+            space that begins with it, in units of displacement too.
         operator: the external operator in the forms.
         motion: moves the mesh, and holds the total displacement.
         convergence: the criteria.
 
     Args:
-        u: displacement function.
+        u: displacement function, or a mixed one that begins with it.
         residual: UFL form, internal minus external forces.
         jacobian: UFL form, its derivative.
         operator: the external operator whose stress and tangent are in the forms.
@@ -130,7 +132,8 @@ class Problem:
         self.convergence = convergence or Convergence()
         element = operator.points.element
         self.motion = MeshMotion(u, element.cell, element.degree)
-        self._comm = u.function_space.mesh.comm
+        self._mesh = u.function_space.mesh
+        self._comm = self._mesh.comm
         self._residual, self._jacobian = fem.form(residual), fem.form(jacobian)
         self._matrix = dolfinx.fem.petsc.create_matrix(self._jacobian)
         self._forces = _dolfinx.create_vector(self._residual, u.function_space)
@@ -177,6 +180,8 @@ class Problem:
         _, self._values = _dolfinx.prescribed(self._work, self.bcs)
         self._x.array[:] = self._first_guess(step)
         self._now = self._before = self._best = None  # u = 0 was no iterate
+        # MUMPS orders by the values of the first matrix: a resumed run must order as this one does
+        self.snes.getKSP().reset()
         try:
             self.snes.solve(None, self._x)
         except Exception:
@@ -207,7 +212,7 @@ class Problem:
         The law commits what it computed at this very u.
         """
         self._evaluate_at_u()
-        together(self._comm, self.operator.law.commit)
+        together(self._comm, self.operator.commit)
         self.motion.move()
         self._last_step = (step, self.u.x.array[: self._size].copy())
         self.u.x.array[:] = 0.0
@@ -215,9 +220,40 @@ class Problem:
 
     def reject(self) -> None:
         """Forget the trial; u is zero again."""
-        together(self._comm, self.operator.law.discard)
+        together(self._comm, self.operator.discard)
         self.u.x.array[:] = 0.0
         self._now = None
+
+    def save(self, group: h5py.Group) -> None:
+        """Write what the next step starts from into an HDF5 group: a row per owned cell.
+
+        Between steps alone: u is used for it, and is zero again afterwards.
+        """
+        owned = slice(_dolfinx.number_of_cells(self._mesh)[0])
+        group["increment"] = self._between_steps()[owned]
+        group["step"] = np.full(owned.stop, 0.0 if self._last_step is None else self._last_step[0])
+        group["displacement"] = _dolfinx.cell_values(self.motion.displacement)[owned]
+        group["geometry"] = self._mesh.geometry.x[_dolfinx.geometry_dofmap(self._mesh)][owned]
+
+    def load(self, group: h5py.Group) -> None:
+        """Read back what `save` wrote: a row per cell of this rank, ghosts included."""
+        _dolfinx.set_cell_values(self.u, group["increment"][()])
+        step = float(group["step"][0]) if len(group["step"]) else 0.0
+        step = self._comm.allreduce(step, MPI.MAX)
+        self._last_step = (step, self.u.x.array[: self._size].copy()) if step > 0 else None
+        self.u.x.array[:] = 0.0
+        self._now = None
+        _dolfinx.set_cell_values(self.motion.displacement, group["displacement"][()])
+        nodes = _dolfinx.geometry_dofmap(self._mesh)
+        self._mesh.geometry.x[nodes] = group["geometry"][()]
+
+    def _between_steps(self) -> np.ndarray:
+        """The last increment by cell, (c, k)."""
+        if self._last_step is not None:
+            self._set_u(self._last_step[1])
+        values = _dolfinx.cell_values(self.u)
+        self.u.x.array[:] = 0.0
+        return values
 
     def reaction(self, dofs: np.ndarray) -> float:
         """Sum of the reactions (internal minus external nodal forces) at `dofs`, N per m.
@@ -278,10 +314,10 @@ class Problem:
     def _assemble_jacobian(self, snes, x: PETSc.Vec, matrix: PETSc.Mat, preconditioner) -> None:
         try:
             self.operator.evaluate_tangent()
+            _dolfinx.assemble_matrix(preconditioner, self._jacobian, self.bcs)
         except Exception as error:
             self._failure = error
             raise
-        _dolfinx.assemble_matrix(preconditioner, self._jacobian, self.bcs)
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         reason = PETSc.SNES.ConvergedReason

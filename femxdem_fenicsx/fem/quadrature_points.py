@@ -43,6 +43,19 @@ class QuadraturePoints:
         values = _dolfinx.evaluate(expression, self.mesh, self.cells, shape)
         return values.reshape(self.size, *shape)
 
+    def function(self, shape: tuple[int, ...]) -> fem.Function:
+        """Quadrature function with values of the given shape."""
+        element = self.element
+        quadrature = _dolfinx.quadrature_element(element.cell, element.quadrature_degree, shape)
+        return fem.Function(_dolfinx.functionspace(self.mesh, quadrature))
+
+    def rows(self, function: fem.Function) -> np.ndarray:
+        """Where a quadrature function of any shape has the values at these points, (size,).
+
+        Rows of ``function.x.array.reshape(-1, components)``.
+        """
+        return _dolfinx.dofmap(function.function_space)[: len(self.cells)].ravel()
+
     def coordinates(self) -> np.ndarray:
         """Where the points are in the present geometry, (size, gdim), m."""
         return self.evaluate(self._x, (self.mesh.geometry.dim,))

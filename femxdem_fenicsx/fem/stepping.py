@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from .problem import Problem
+from ..collective import Interrupted
+from .problem import Problem, Solution
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,31 @@ class StepRecord:
 
 
 @dataclass(frozen=True)
+class Position:
+    """Where a load path stands, behind an accepted step; all that `walk` needs to go on.
+
+    Attributes:
+        load: of the last accepted step.
+        step: size that the next one will be tried with; 0 for the first and largest.
+        in_a_row: converged steps since the last cut.
+        steps: accepted so far.
+        cuts: halvings.
+        not_converged: steps accepted under the looser limit.
+        iterations: of the accepted solves.
+        evaluations: of the law.
+    """
+
+    load: float = 0.0
+    step: float = 0.0
+    in_a_row: int = 0
+    steps: int = 0
+    cuts: int = 0
+    not_converged: int = 0
+    iterations: int = 0
+    evaluations: int = 0
+
+
+@dataclass(frozen=True)
 class Outcome:
     """How a load path ended.
 
@@ -80,6 +106,7 @@ class Outcome:
         evaluations: of the law.
         lost_controllability: empty where the end was reached; otherwise one line: where the load
             path could not be followed any further, and what the solver said.
+        interrupted: whether the run was asked to stop before the end.
     """
 
     load: float
@@ -89,6 +116,7 @@ class Outcome:
     iterations: int
     evaluations: int
     lost_controllability: str = ""
+    interrupted: bool = False
 
 
 def walk(
@@ -97,13 +125,15 @@ def walk(
     end: float,
     stepping: LoadStepping,
     observe: Callable[[StepRecord], None] = lambda record: None,
-    start: float = 0.0,
+    start: float | Position = 0.0,
+    between: Callable[[Position], None] = lambda position: None,
 ) -> Outcome:
     """Walk the load from `start` to `end`.
 
     A step that does not converge is discarded, halved and tried again. Where the smallest one does
     not converge, its best iterate is accepted under the looser limit; what is out of balance then
-    stays in the residual of the next step. Beyond that limit the path ends there.
+    stays in the residual of the next step. Beyond that limit the path ends there. Asked to stop
+    (`Interrupted`), it ends behind the last accepted step.
 
     Args:
         problem: solved step by step.
@@ -112,56 +142,76 @@ def walk(
         end: of the load.
         stepping: sizes.
         observe: called after each accepted step: write results here.
-        start: of the load; above zero to go on with an earlier path.
+        start: of the load; where an earlier walk stood, to go on with it.
+        between: called with the position after each observed step: write a checkpoint here.
     """
-    if not end > start:
-        raise ValueError(f"load path from {start} to {end}: the end must be above the start")
-    load, step, in_a_row = start, stepping.step, 0
-    steps = cuts = not_converged = iterations = 0
-    first = counted = problem.operator.evaluations
+    at = start if isinstance(start, Position) else Position(load=start)
+    if not end > at.load:
+        raise ValueError(f"load path from {at.load} to {end}: the end must be above the start")
+    at = replace(at, step=min(at.step or stepping.step, stepping.step))
+    accepted = at
+    counted = problem.operator.evaluations
     clock = time.perf_counter()
-    lost = ""
-    while load < end:
-        rest = end - load
-        size = rest if rest < step * (1 + 1e-6) else step
-        set_load(load, load + size)
-        solution = problem.solve(size)
+    lost, interrupted = "", False
+    while at.load < end:
+        rest = end - at.load
+        size = rest if rest < at.step * (1 + 1e-6) else at.step
+        set_load(at.load, at.load + size)
+        try:
+            solution = problem.solve(size)
+        except Interrupted:  # tries that were rejected since `accepted` will be made again
+            problem.reject()
+            at, interrupted = accepted, True
+            break
         if not solution.converged:
-            in_a_row = 0
             if size > stepping.smallest * (1 + 1e-6):
                 problem.reject()
-                step = max(size / 2, stepping.smallest)
-                cuts += 1
+                smaller = max(size / 2, stepping.smallest)
+                at = replace(at, step=smaller, in_a_row=0, cuts=at.cuts + 1)
                 continue
             if not solution.residual <= stepping.looser_limit:
                 problem.reject()
                 lost = (
-                    f"lost controllability at load {load:.6g}: a step of {size:.3g} ends with "
+                    f"lost controllability at load {at.load:.6g}: a step of {size:.3g} ends with "
                     f"FNORM/RNORM = {solution.residual:.2e} ({solution.reason})"
                 )
                 break
         problem.accept(size)
-        load = end if size == rest else load + size
-        steps += 1
-        iterations += solution.iterations
-        not_converged += not solution.converged
-        in_a_row += solution.converged
-        if in_a_row >= stepping.grow_after and step < stepping.step:
-            step, in_a_row = min(2 * step, stepping.step), 0
         now, evaluations = time.perf_counter(), problem.operator.evaluations
-        observe(
-            StepRecord(
-                steps,
-                load,
-                size,
-                solution.iterations,
-                evaluations - counted,
-                solution.residual,
-                solution.converged,
-                cuts,
-                now - clock,
-            )
+        at = _behind(at, end if size == rest else at.load + size, solution, stepping)
+        record = StepRecord(
+            at.steps,
+            at.load,
+            size,
+            solution.iterations,
+            evaluations - counted,
+            solution.residual,
+            solution.converged,
+            at.cuts,
+            now - clock,
         )
-        clock, counted = now, evaluations
-    total = problem.operator.evaluations - first
-    return Outcome(load, steps, cuts, not_converged, iterations, total, lost)
+        at = replace(at, evaluations=at.evaluations + record.evaluations)
+        clock, counted, accepted = now, evaluations, at
+        observe(record)
+        between(at)
+    total = at.evaluations + (0 if interrupted else problem.operator.evaluations - counted)
+    return Outcome(
+        at.load, at.steps, at.cuts, at.not_converged, at.iterations, total, lost, interrupted
+    )
+
+
+def _behind(at: Position, load: float, solution: Solution, stepping: LoadStepping) -> Position:
+    """The position behind an accepted step that ends at `load`; a cut step may grow again."""
+    in_a_row = at.in_a_row + 1 if solution.converged else 0
+    step = at.step
+    if in_a_row >= stepping.grow_after and step < stepping.step:
+        step, in_a_row = min(2 * step, stepping.step), 0
+    return replace(
+        at,
+        load=load,
+        step=step,
+        in_a_row=in_a_row,
+        steps=at.steps + 1,
+        not_converged=at.not_converged + (not solution.converged),
+        iterations=at.iterations + solution.iterations,
+    )

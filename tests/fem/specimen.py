@@ -8,12 +8,14 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
+from femxdem_fenicsx.double_stress import one_parameter
 from femxdem_fenicsx.fem.elements import element
 from femxdem_fenicsx.fem.external_operator import ExternalOperator
 from femxdem_fenicsx.fem.problem import Convergence, Problem
 from femxdem_fenicsx.fem.quadrature_points import QuadraturePoints
 from femxdem_fenicsx.law import Law
-from forms import first_gradient
+from forms.first_gradient import FirstGradient
+from forms.second_gradient import SecondGradient
 from meshes import box, rectangle
 
 WIDTH, HEIGHT = 1.0, 2.0
@@ -22,7 +24,8 @@ WIDTH, HEIGHT = 1.0, 2.0
 class Specimen:
     """1 m x 2 m, or 1 m x 1 m x 2 m for an element in 3D; the top is moved by `top`.
 
-    The bottom is smooth, with one point fixed, and another one against rotation in 3D.
+    A modulus, N, makes it a second-gradient continuum. The bottom is smooth, with one point fixed,
+    and another one against rotation in 3D.
     """
 
     def __init__(
@@ -31,6 +34,7 @@ class Specimen:
         *,
         name: str = "Q8",
         formulation: str = "finite",
+        modulus: float | None = None,
         cells: tuple[int, ...] | None = None,
         distortion: float | None = None,
         rough: bool = False,
@@ -55,22 +59,29 @@ class Specimen:
         self.mesh = mesh
         self.points = QuadraturePoints(mesh, kind)
         self.law = make_law(self.points)
-        self.u = u = fem.Function(kind.space(mesh))
+        if modulus is None:
+            self.medium = FirstGradient(self.points, formulation)
+        else:
+            stiffness = one_parameter(modulus, kind.dim)
+            self.medium = SecondGradient(self.points, formulation, stiffness)
+        self.u = u = self.medium.unknown
         self.operator = ExternalOperator(
-            first_gradient.deformation_gradient(u), self.law, self.points
+            self.medium.F, self.law, self.points, 0.5, self.medium.states
         )
         self.pressure, self.axial = fem.Constant(mesh, 0.0), fem.Constant(mesh, 0.0)
         self.top, zero = fem.Constant(mesh, 0.0), fem.Constant(mesh, 0.0)
         ds = kind.ds(mesh, tags)
         loads = [(self.pressure, ds(lateral)), (self.axial, ds(shape.TOP))]
-        residual, jacobian = getattr(first_gradient, formulation)(
-            u, self.operator.stress, self.operator.tangent, kind.dx(mesh), loads
+        residual, jacobian = self.medium.equilibrium(
+            self.operator.stress, self.operator.tangent, loads
         )
-        V, facet = u.function_space, kind.dim - 1
+        V, facet = self.medium.space, kind.dim - 1
         *across, axial = (V.sub(axis) for axis in range(kind.dim))
         self.top_dofs = fem.locate_dofs_topological(axial, facet, tags.find(shape.TOP))
         bottom = fem.locate_dofs_topological(axial, facet, tags.find(shape.BOTTOM))
         bcs = [fem.dirichletbc(zero, bottom, axial)]
+        for side in (shape.TOP, shape.BOTTOM):
+            bcs += self.medium.straight(tags.find(side), facet, facet)
         held = [(component, [WIDTH / 2] * len(across)) for component in across]
         if kind.dim == 3:
             held.append((across[1], [WIDTH, WIDTH / 2]))

@@ -1,0 +1,312 @@
+"""Which rank computes which packing (Desrues section 3.2, with the packings staying at home).
+
+In the papers a boss sends whole packings to whoever is idle. Here every packing lives on a home
+rank, which need not be the rank of its quadrature point, and an evaluation moves nothing but F
+there and the stress back. An evaluation starts from the committed state, so before any of them
+packings can change their homes: they do where the steps that they took in the last one, which is
+much like the next, promise that it pays.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+import h5py
+import numpy as np
+from mpi4py import MPI
+
+from .collective import together
+from .law import Law
+
+#: Steps of a packing's DEM that take as long as sending it to another rank, and as copying one
+#: that stays into new arrays, which is done whenever the rank's packings change (docs/cluster.md).
+STEPS_PER_MOVE, STEPS_PER_STAY = 20.0, 5.0
+#: Evaluations within which a move must pay.
+EVALUATIONS_TO_PAY = 10
+#: A placement stands while the busiest rank has at most this over the mean.
+IMBALANCE_ALLOWED = 1.02
+
+
+class MovableLaw(Law, Protocol):
+    """A law whose points can move from one rank to another.
+
+    Attributes:
+        FIELDS: the attributes that are arrays with a value for each point.
+        cost: steps that each point took in its last evaluation, (n,), integers.
+        threads: that share the points of a rank.
+    """
+
+    FIELDS: tuple[str, ...]
+    cost: np.ndarray
+    threads: int
+
+    def state(self) -> dict[str, np.ndarray]:
+        """The committed state: arrays with one row per point."""
+        ...
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Take over what `state` gave, of any number of points, which becomes `size`."""
+        ...
+
+
+class Balance(NamedTuple):
+    """Load of the busiest rank over the mean, at the homes before and after; packings moved."""
+
+    before: float
+    after: float
+    moved: int
+
+
+def loads(cost: np.ndarray, home: np.ndarray, ranks: int) -> np.ndarray:
+    """Sum of the costs (n,) at each rank, (ranks,)."""
+    return np.bincount(home, weights=cost, minlength=ranks)
+
+
+def place(cost: np.ndarray, home: np.ndarray, ranks: int) -> np.ndarray:
+    """New homes (n,): the longest first, each to the least loaded rank, or left where it is.
+
+    Graham's longest processing time first gives the load that no rank should exceed; a packing
+    that its present home can take within that load stays there.
+
+    Args:
+        cost: of each packing, (n,).
+        home: rank where each is now, (n,).
+        ranks: how many there are.
+    """
+    order = np.argsort(-cost, kind="stable")
+    longest_first = _longest_first(cost, order, home, ranks, 0.0)
+    limit = loads(cost, longest_first, ranks).max(initial=0.0)
+    return _longest_first(cost, order, home, ranks, limit * (1 + 1e-12))
+
+
+def _longest_first(cost, order, home, ranks: int, limit: float) -> np.ndarray:
+    """Packings in `order` to the least loaded rank, or to their home if its load stays in limit."""
+    load = np.zeros(ranks)
+    heap = [(0.0, rank) for rank in range(ranks)]
+    new = np.empty_like(home)
+    for packing in order:
+        rank = home[packing]
+        if load[rank] + cost[packing] > limit:
+            while heap[0][0] != load[heap[0][1]]:  # an old entry of a rank that has got more since
+                heapq.heappop(heap)
+            rank = heap[0][1]
+        new[packing] = rank
+        load[rank] += cost[packing]
+        heapq.heappush(heap, (load[rank], rank))
+    return new
+
+
+def better_homes(cost: np.ndarray, home: np.ndarray, ranks: int, threads: int) -> np.ndarray | None:
+    """New homes (n,), where a few evaluations gain more by them than the move takes; else None.
+
+    Arguments as those of `place`; `threads` share the packings of a rank.
+    """
+    load = loads(cost, home, ranks)
+    if imbalance(load) <= IMBALANCE_ALLOWED:
+        return None
+    new = place(cost, home, ranks)
+    gain = (load.max() - loads(cost, new, ranks).max()) / threads
+    return new if EVALUATIONS_TO_PAY * gain > price_of(home, new, ranks) else None
+
+
+def price_of(home: np.ndarray, new: np.ndarray, ranks: int) -> float:
+    """Steps that packings could take while they change their homes, at the slowest rank."""
+    leave, arrive = (np.bincount(h[new != home], minlength=ranks) for h in (home, new))
+    stay = np.bincount(home[new == home], minlength=ranks)
+    return float((STEPS_PER_MOVE * np.maximum(leave, arrive) + STEPS_PER_STAY * stay).max())
+
+
+def imbalance(load: np.ndarray) -> float:
+    """Load of the busiest rank over the mean of all; 1 where there is nothing to do."""
+    return float(load.max() / load.mean()) if load.any() else 1.0
+
+
+class DistributedLaw:
+    """A law whose points are computed on their home ranks. All its methods are collective.
+
+    What else the law tells is found here as the attribute of the same name: a field, which comes
+    from the homes, so that all ranks must ask for it; anything else is that of this rank's share.
+
+    Attributes:
+        law: the packings at home on this rank. dim: of the law.
+        size: number of this rank's own quadrature points.
+        numbers: of the points whose packings are at home here, in the law's order, ascending.
+        balance: what the last evaluation found of the load, and did about it. moved: packings that
+            have changed their homes so far.
+        sent: bytes that this rank has sent to others, by purpose.
+
+    Args:
+        comm: ranks of the mesh.
+        points: numbers of this rank's quadrature points in the whole mesh, (size,). The ranks
+            together have each number from 0 on once.
+        make: the law of the packings with the given numbers (n,).
+
+    Raises:
+        ValueError: numbers that are missing or twice, on all ranks.
+    """
+
+    def __init__(
+        self, comm: MPI.Comm, points: np.ndarray, make: Callable[[np.ndarray], MovableLaw]
+    ):
+        self._comm, self._points = comm, np.asarray(points, np.int64)
+        self.size = len(self._points)
+        ranks = np.repeat(np.arange(comm.size), comm.allgather(self.size))
+        everyone = np.concatenate(comm.allgather(self._points))
+        if not np.array_equal(np.sort(everyone), np.arange(len(everyone))):
+            raise ValueError("the quadrature points are not numbered from 0 on, each of them once")
+        self._owner = np.empty(len(everyone), np.int64)
+        self._owner[everyone] = ranks
+        self._graph = None
+        self.sent: Counter[str] = Counter()
+        self._settle(place(np.ones(len(everyone)), self._owner, comm.size))
+        self.law = together(comm, make, self.numbers)
+        self.dim = self.law.dim
+        self.balance, self.moved = Balance(1.0, 1.0, 0), 0
+
+    def __getattr__(self, name: str):
+        if name == "law":  # not made yet
+            raise AttributeError(name)
+        value = getattr(self.law, name)
+        return self._to_points(value, "fields") if name in self.law.FIELDS else value
+
+    # ---- the Law protocol -----------------------------------------------------------------------
+
+    def evaluate(self, F: np.ndarray) -> np.ndarray:
+        """Stress (size, d, d), Pa, at F (size, d, d). Raises, on all ranks, what the law raises."""
+        self._rehome()
+        at_home = self._to_homes(np.asarray(F, np.float64), "evaluation")
+        return self._to_points(together(self._comm, self.law.evaluate, at_home), "evaluation")
+
+    def tangent(self) -> np.ndarray:
+        """C = d sigma / d F (size, d, d, d, d), Pa, at the last trial."""
+        return self._to_points(together(self._comm, self.law.tangent), "tangent")
+
+    def commit(self) -> None:
+        """The trial becomes the state."""
+        together(self._comm, self.law.commit)
+
+    def discard(self) -> None:
+        """Forget the trial."""
+        self.law.discard()
+
+    def save(self, group: h5py.Group) -> None:
+        """Write the committed state of the packings at home here, in the order of `numbers`."""
+        self.law.save(group)
+
+    def load(self, group: h5py.Group) -> None:
+        """Read back what `save` wrote: rows in the order of `numbers`."""
+        self.law.load(group)
+
+    def packing(self, point: int | None):
+        """The committed packing of one point, on all ranks; `point` on the rank that asks alone."""
+        asked = self._comm.allgather(None if point is None else int(self._points[point]))
+        number = next((n for n in asked if n is not None), None)
+        if number is None:
+            return None
+        home = int(self._home[number])
+        at_home = int(np.searchsorted(self.numbers, number))
+        packing = self.law.packing(at_home) if self._comm.rank == home else None
+        return self._comm.bcast(packing, root=home)
+
+    # ---- moving house ---------------------------------------------------------------------------
+
+    def _rehome(self) -> None:
+        """Move packings if the last evaluation says that the next ones gain by it."""
+        ranks = self._comm.size
+        busy = imbalance(np.array(self._comm.allgather(float(self.law.cost.sum()))))
+        new = None
+        if busy > IMBALANCE_ALLOWED:
+            cost = self._everywhere(self.law.cost)
+            new = better_homes(cost, self._home, ranks, self.law.threads)
+        if new is None:
+            self.balance = Balance(busy, busy, 0)
+            return
+        moved = int((new != self._home).sum())
+        self.balance = Balance(busy, imbalance(loads(cost, new, ranks)), moved)
+        self.moved += moved
+        self.move(new)
+
+    def _everywhere(self, at_home: np.ndarray) -> np.ndarray:
+        """Integers of the packings at home here -> those of all packings, on all ranks."""
+        counts = np.bincount(self._home, minlength=self._comm.size)
+        by_home = np.empty(len(self._home), np.int64)
+        self._comm.Allgatherv(np.ascontiguousarray(at_home, np.int64), [by_home, counts])
+        values = np.empty(len(self._home))
+        values[np.argsort(self._home, kind="stable")] = by_home
+        return values
+
+    def move(self, home: np.ndarray) -> None:
+        """Give every packing a new home (all points,), the same on all ranks: bit for bit.
+
+        A trial is forgotten.
+        """
+        old, here, rank, ranks = self._home, self.numbers, self._comm.rank, self._comm.size
+        there = np.flatnonzero(home == rank)
+        leaving = here[home[here] != rank]
+        leaving = leaving[np.argsort(home[leaving], kind="stable")]
+        arriving = there[old[there] != rank]
+        arriving = arriving[np.argsort(old[arriving], kind="stable")]
+        staying = there[old[there] == rank]
+        to, since = (np.bincount(ends, minlength=ranks) for ends in (home[leaving], old[arriving]))
+        state = self.law.state()
+        for name in sorted(state):
+            rows = state[name]
+            sent = np.ascontiguousarray(rows[np.searchsorted(here, leaving)])
+            received = np.empty((len(arriving), *rows.shape[1:]), rows.dtype)
+            width = rows.dtype.itemsize * int(np.prod(rows.shape[1:]))
+            self._comm.Alltoallv(_bytes(sent, to * width), _bytes(received, since * width))
+            state[name] = np.empty((len(there), *rows.shape[1:]), rows.dtype)
+            state[name][np.searchsorted(there, staying)] = rows[np.searchsorted(here, staying)]
+            state[name][np.searchsorted(there, arriving)] = received
+            self.sent["moves"] += sent.nbytes
+        self._settle(home)
+        together(self._comm, self.law.restore, state)
+
+    def _settle(self, home: np.ndarray) -> None:
+        """Work out who sends how many points to whom when every packing is at its home."""
+        rank, ranks = self._comm.rank, self._comm.size
+        self._home, self.numbers = home, np.flatnonzero(home == rank)
+        there, here = home[self._points], self._owner[self.numbers]
+        self._leaves, self._comes = (
+            np.lexsort((self._points, there)),
+            np.argsort(here, kind="stable"),
+        )
+        away, back = np.bincount(there, minlength=ranks), np.bincount(here, minlength=ranks)
+        neighbours = np.flatnonzero((away + back > 0) | (np.arange(ranks) == rank))
+        self._away, self._back = away[neighbours], back[neighbours]
+        self._elsewhere = neighbours != rank
+        if self._graph is not None:
+            self._graph.Free()
+        self._graph = self._comm.Create_dist_graph_adjacent(neighbours, neighbours)
+
+    # ---- exchange -------------------------------------------------------------------------------
+
+    def _to_homes(self, values: np.ndarray, purpose: str) -> np.ndarray:
+        """Values at this rank's points -> values at the packings at home here."""
+        return self._exchange(values, self._leaves, self._away, self._comes, self._back, purpose)
+
+    def _to_points(self, values: np.ndarray, purpose: str) -> np.ndarray:
+        """Values at the packings at home here -> values at this rank's points."""
+        return self._exchange(values, self._comes, self._back, self._leaves, self._away, purpose)
+
+    def _exchange(self, values, leaves, away, comes, back, purpose: str) -> np.ndarray:
+        """Send rows `leaves` to the neighbours, `away` of them to each; receive `comes`."""
+        leaving = np.ascontiguousarray(values[leaves])
+        arriving = np.empty((len(comes), *values.shape[1:]), values.dtype)
+        width = values.dtype.itemsize * int(np.prod(values.shape[1:]))
+        self._graph.Neighbor_alltoallv(
+            _bytes(leaving, away * width), _bytes(arriving, back * width)
+        )
+        self.sent[purpose] += int(away[self._elsewhere].sum()) * width
+        result = np.empty_like(arriving)
+        result[comes] = arriving
+        return result
+
+
+def _bytes(array: np.ndarray, counts: np.ndarray) -> list:
+    """A contiguous array as MPI takes it, with so many bytes for each rank."""
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    return [array.view(np.uint8) if array.size else array, counts, starts, MPI.BYTE]
