@@ -27,7 +27,7 @@ import numpy as np
 from mpi4py import MPI
 
 from .collective import together
-from .whole_files import hdf5_bytes, sync_folder, write_synced
+from .writing import hdf5_bytes, sync_folder, write_synced
 
 FORMAT, VERSION = "femxdem checkpoint", 1
 MANIFEST, SUMS = "manifest.h5", "SHA256SUMS"

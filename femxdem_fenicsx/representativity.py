@@ -261,7 +261,7 @@ def _draw_scatter(path: Path, rows: Sequence[dict], kind: str) -> None:
                 )  # fmt: skip
         axes.set(xscale="log", ylabel=label)
         sizes = sorted({int(row["grains"]) for row in rows})
-        axes.set_xticks(sizes, [str(size) for size in sizes])
+        axes.set_xticks(sizes, [str(size) for size in sizes], size="x-small")
         axes.set_xlim(sizes[0] / 1.4, sizes[-1] * 1.4)
         axes.xaxis.set_minor_locator(NullLocator())
     for axes in panels[4:]:

@@ -28,6 +28,8 @@ from tests.checkpoint_run import Counting, at_step
 from tests.mpi import ROOT, run_on_ranks
 
 MODULE = "tests.checkpoint_run"
+#: Open MPI then starts no helper beside a process that is alone.
+ALONE = {**os.environ, "OMP_NUM_THREADS": "1", "OMPI_MCA_ess_singleton_isolated": "1"}
 SELF = MPI.COMM_SELF
 END = "end=0.0135"  # with cut steps from 0.012 on
 
@@ -44,10 +46,7 @@ def write(folder: Path, *steps: int, scene=None) -> None:
 
 def specimen(folder: Path, *options: str) -> subprocess.CompletedProcess:
     command = [sys.executable, "-m", MODULE, "specimen", str(folder), *options]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    return subprocess.run(
-        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=60
-    )
+    return subprocess.run(command, cwd=ROOT, env=ALONE, capture_output=True, text=True, timeout=100)
 
 
 def history(folder: Path) -> str:
@@ -64,7 +63,7 @@ def log(folder: Path) -> str:
 def test_a_run_killed_at_thirty_moments_goes_on_from_the_last_that_it_told(tmp_path):
     """Each life checks what it finds: not older than what was told, and right to the last bit."""
     command = [sys.executable, "-m", MODULE, "lives", str(tmp_path / "checkpoint"), "30"]
-    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=100)
+    run = subprocess.run(command, cwd=ROOT, env=ALONE, capture_output=True, text=True, timeout=200)
     assert run.returncode == 0, run.stdout + run.stderr
     told = json.loads(run.stdout)
     assert told["steps"] > 31

@@ -12,8 +12,15 @@ from .preparation import NotReached
 #: Growth of a correction from one evaluation to the next at most: grains answer with some scatter,
 #: from which a secant can conclude anything.
 LARGEST_GROWTH = 3.0
+#: Least share of the contacts' own stiffness that a search reckons with where answers scatter.
+SOFTEST = 0.05
 #: Times that an increment is cut in two where the stress is not reached.
 MOST_CUTS = 2
+#: Evaluations without anything better after which a search is given up.
+PATIENCE = 4
+#: Off the target by that many tolerances, an increment is not cut any more: several components at
+#: once scatter by as much where the grains are few.
+CLOSE = 5.0
 #: Width of an interval, over the increment's own strain, in which a stress that changes sign but
 #: does not come near its target is a jump: grains yield suddenly, and no state lies in between.
 JUMP = 1e-2
@@ -98,14 +105,16 @@ class _Search:
         self.least_move = np.abs(F - origin).max()
         self._below = self._above = None
 
-    def run(self, tolerance: float, most: int) -> bool:
+    def run(self, tolerance: float, most: int, patience: int | None = None) -> bool:
         """Whether the tolerance (Pa) is met; what was met best stays in `best` and `best_F`.
 
         The first correction takes the law's own stiffness at the state, further ones what the law
-        was seen to answer (Broyden's rank-one update). A single component is bracketed as soon as
+        was seen to answer (see `_measured`). A single component is bracketed as soon as
         its stress has been seen on both sides of the target, and `jump` says that it jumps there.
+        The search ends after `patience` evaluations without anything better.
         """
-        free, before, jacobian = self.condition.free, None, None
+        found_at, patience = 0, patience or most
+        free, before, jacobian, scattered = self.condition.free, None, None, False
         longest = np.inf
         while self.evaluations < most:
             try:
@@ -116,15 +125,19 @@ class _Search:
                 self.F[free] = before[0] + 0.25 * (self.F[free] - before[0])
                 continue
             error = float(np.abs(residual).max(initial=0.0))
+            if self.evaluations - found_at > patience and error >= self.best:
+                break
             if error < self.best:
+                found_at = self.evaluations
                 self.best, self.best_F, self.best_stress = error, self.F.copy(), self.stress
             if error <= tolerance:
                 return True
             if jacobian is None:
-                jacobian = self._stiffness()
+                jacobian = first = self._stiffness()
             else:
                 move = self.F[free] - before[0]
-                jacobian += np.outer(residual - before[1] - jacobian @ move, move / (move @ move))
+                scattered = scattered or error > np.abs(before[1]).max()
+                jacobian = self._measured(jacobian, first, move, residual - before[1], scattered)
             before = self.F[free], residual
             if len(residual) == 1 and self._bracketed(residual[0]):
                 if self.jump:
@@ -162,6 +175,21 @@ class _Search:
         self.evaluations += 1
         self.stress = self.law.evaluate((self.F @ self.inverse)[None])[0]
         return np.einsum("mij,ij->m", self.condition.rows, self.stress) - self.condition.values
+
+    @staticmethod
+    def _measured(
+        jacobian: np.ndarray, first: np.ndarray, move: np.ndarray, seen: np.ndarray, scattered: bool
+    ) -> np.ndarray:
+        """The stiffness (m, m), Pa, after a move (m,) whose residual changed by `seen` (m,), Pa.
+
+        Broyden's rank-one update. Where an answer has been worse than the one before, grains
+        scatter, and so would secants: then the first stiffness, as much softer as was seen.
+        """
+        if not scattered or len(move) == 1:
+            return jacobian + np.outer(seen - jacobian @ move, move / (move @ move))
+        expected = first @ move
+        share = (expected @ seen) / (expected @ expected)
+        return first * np.clip(share, SOFTEST, 1.0)
 
     def _stiffness(self) -> np.ndarray:
         """d residual / d F (m, m), Pa, by the law's tangent at this trial."""
@@ -250,13 +278,14 @@ class Servo:
         guess[condition.free] = start[condition.free] + self._predicted(F, condition)
         search = _Search(self.law, guess, condition, start)
         try:
-            reached = search.run(self.tolerance, self.most)
+            reached = search.run(self.tolerance, self.most, PATIENCE)
         except (ValueError, FloatingPointError):
             if cuts == MOST_CUTS:
                 self.law.discard()
                 raise
             reached = False
-        if not reached and cuts < MOST_CUTS and not search.jump:
+        close = search.jump or search.best <= CLOSE * self.tolerance
+        if not reached and cuts < MOST_CUTS and not close:
             self.law.discard()
             return self._in_two(F, condition, cuts, search.evaluations)
         if not reached and search.best > self.looser:
