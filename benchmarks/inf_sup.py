@@ -7,12 +7,15 @@ refinement: then every multiplier that the continuum feels is felt by the discre
 One row i of nu_ij is enough, as the rows do not meet. Prints one JSON object as its last line.
 """
 
+import argparse
+import json
 import sys
 from pathlib import Path
 
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
+from dolfinx.fem.petsc import assemble_matrix
 from mpi4py import MPI
 from scipy.linalg import eigh
 from scipy.sparse import csr_matrix
@@ -20,6 +23,7 @@ from scipy.sparse.linalg import splu
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT)]
+from femxdem_fenicsx import script  # noqa: E402
 from femxdem_fenicsx.fem import _dolfinx  # noqa: E402
 from femxdem_fenicsx.fem.elements import element  # noqa: E402
 from meshes.box import box  # noqa: E402
@@ -78,32 +82,35 @@ def _felt(domain, U, N, Lambda) -> np.ndarray:
 
 
 def _matrix(integrand) -> csr_matrix:
-    matrix = dolfinx_matrix(fem.form(integrand * ufl.dx))
+    matrix = assemble_matrix(fem.form(integrand * ufl.dx))
+    matrix.assemble()
     return csr_matrix(matrix.getValuesCSR()[::-1], shape=matrix.getSize())
 
 
-def dolfinx_matrix(form):
-    from dolfinx.fem.petsc import assemble_matrix
+#: Element and multiplier; the first three are those of the program.
+CASES = [
+    ("Q8", "P0"), ("Q9", "P0"), ("T6", "P1"), ("T6", "P0"), ("Q8", "P1"), ("Q8", "dP1"),
+    ("T6", "dP1"),
+]  # fmt: skip
+CASES_3D = [("H27", "P0"), ("T10", "P1"), ("T10", "P0")]
 
-    matrix = assemble_matrix(form)
-    matrix.assemble()
-    return matrix
+
+def main(comm: MPI.Comm) -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="coarse meshes alone")
+    args = script.parse(parser, comm)
+    result = []
+    for cases, counts in ((CASES, (2, 4, 8, 16)), (CASES_3D, (1, 2, 3))):
+        for name, multiplier in cases:
+            constants = {
+                str(n): constant(name, n, multiplier, 0.2 if len(counts) == 4 else 0.1)
+                for n in counts[: 2 if args.quick else None]
+            }
+            result.append({"element": name, "multiplier": multiplier, "constants": constants})
+    if comm.rank == 0:
+        print(json.dumps({"cases": result}))
+    return 0
 
 
 if __name__ == "__main__":
-    cases = [("Q8", m) for m in ("P0", "dP1", "P1")] + [
-        ("Q9", "P0"),
-        ("Q9", "P1"),
-        ("T6", "P0"),
-        ("T6", "P1"),
-        ("T6", "dP1"),
-    ]
-    for name, m in cases:
-        print(
-            name,
-            m,
-            [round(constant(name, n, m, 0.2), 5) for n in (2, 3, 4, 6, 8, 12, 16)],
-            flush=True,
-        )
-    for name in ("H27", "T10"):
-        print(name, "P0", [round(constant(name, n, "P0"), 4) for n in (1, 2, 3)], flush=True)
+    script.run(main)

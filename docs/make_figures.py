@@ -219,6 +219,77 @@ def draw_accuracy() -> None:
     figure.savefig(FIGURES / "accuracy.png")
 
 
+# Bands of a softening law, and of grains, on two meshes
+
+
+def softening_fields() -> dict[str, np.ndarray]:
+    """(points, x y and deviatoric strain) by gradient and columns."""
+    from petsc4py import PETSc
+
+    from tests.forms.test_localisation import compressed
+
+    PETSc.Options()["femxdem_snes_type"] = "newtonls"
+    fields = {}
+    for gradient, modulus in (("first", None), ("second", 0.006)):
+        for columns in (8, 16):
+            curve, x, strain, _ = compressed(columns, modulus, 0.016, 0.002)
+            fields[f"{gradient}_{columns}"] = np.column_stack([x, strain])
+            fields[f"{gradient}_{columns}_curve"] = curve.T
+    return fields
+
+
+def run_second_gradient() -> None:
+    np.savez_compressed(FIGURES / "second_gradient.npz", **softening_fields())
+
+
+@matplotlib.rc_context(plotting.STYLE)
+def draw_second_gradient() -> None:
+    fields = np.load(FIGURES / "second_gradient.npz")
+    figure = Figure((7.0, 3.2), layout="constrained")
+    *maps, right = figure.subplots(1, 5, width_ratios=[1, 1, 1, 1, 2.2])
+    cases = [(g, c) for g in ("first", "second") for c in (8, 16)]
+    for axes, (gradient, columns) in zip(maps, cases, strict=True):
+        x, y, strain = fields[f"{gradient}_{columns}"].T
+        axes.tripcolor(x, y, 100 * strain, vmin=0, vmax=15, shading="gouraud", rasterized=True)
+        axes.set(aspect="equal", xticks=[], yticks=[])
+        axes.set_title(f"{gradient}\n{columns} x {2 * columns}", fontsize="small")
+    for gradient, colour in (("first", THEIRS), ("second", OURS)):
+        for columns, style in ((8, "--"), (16, "-")):
+            load, force = fields[f"{gradient}_{columns}_curve"].T
+            label = f"{gradient}, {columns} x {2 * columns}"
+            right.plot(100 * load, -force, color=colour, ls=style, label=label)
+    right.set_xlabel("axial strain (%), compression positive")
+    right.set_ylabel("force on the plate (N/m), compression positive")
+    right.legend(fontsize="small")
+    figure.savefig(FIGURES / "second_gradient.png")
+
+
+def run_mesh_independence() -> None:
+    output = python("benchmarks/mesh_independence.py", "--quick").splitlines()[-1]
+    (FIGURES / "mesh_independence.json").write_text(json.dumps(json.loads(output), indent=1) + "\n")
+
+
+@matplotlib.rc_context(plotting.STYLE)
+def draw_mesh_independence() -> None:
+    runs = json.loads((FIGURES / "mesh_independence.json").read_text())["runs"]
+    figure = Figure((3.5, 2.6), layout="constrained")
+    axes = figure.subplots()
+    for elements, marker in ((128, "s"), (512, "o"), (2048, "^")):
+        found = [
+            (run["D"], 1e3 * run["band_width"])
+            for run in runs
+            if run["D"] and run["band_width"] and run["elements"] == elements
+        ]
+        if found:
+            axes.loglog(
+                *zip(*sorted(found), strict=True), marker, color=OURS, label=f"{elements} elements"
+            )
+    axes.set_xlabel("D (N)")
+    axes.set_ylabel("width of the band (mm)")
+    axes.legend()
+    figure.savefig(FIGURES / "mesh_independence.png")
+
+
 # Argilaga's study of the tangent operators
 
 
@@ -409,7 +480,7 @@ def draw_friction() -> None:
 
 NAMES = (
     "accuracy", "element_tests", "coupled", "biaxial", "operators", "laboratory",
-    "representativity", "friction",
+    "representativity", "friction", "second_gradient", "mesh_independence",
 )  # fmt: skip
 
 

@@ -221,6 +221,8 @@ def changed(folder: Path, name: str, value: int) -> Path:
     return path
 
 
+SECOND = ("--gradient", "second", "--second-gradient-modulus")
+
 #: What is asked for -> what the one line must name.
 BAD_INPUT = {
     "unknown operator": (("--operator", "XYZ"), "unknown operator 'XYZ'; choose from CTO, AEO"),
@@ -239,6 +241,13 @@ BAD_INPUT = {
     "NaN for a strain": (("--strain", "nan"), "--strain nan"),
     "empty mesh": (("--mesh", "0", "2"), ""),
     "negative width": (("--width", "-0.05"), ""),
+    "unknown gradient": (("--gradient", "third"), "unknown gradient 'third'; choose from first"),
+    "second gradient without D": (("--gradient", "second"), "needs --second-gradient-modulus"),
+    "D without second gradient": (("--second-gradient-modulus", "1"), "needs --gradient second"),
+    "negative D": ((*SECOND, "-1", "--element", "Q8"), "D = -1.0 N: it must be positive"),
+    "D of zero": ((*SECOND, "0", "--element", "Q8"), "use --gradient first"),
+    "no mixed space": ((*SECOND, "1", "--element", "Q4"), "choose one of Q8, Q9, T6"),
+    "deep dents": (("--imperfection", "0.3"), "--imperfection 0.3"),
     "zero tolerance": (("--tolerance", "0"), ""),
     "no threads": (("--threads", "0"), "threads"),
     "missing packing": (("--packing", "nowhere/packing.h5"), "nowhere/packing.h5"),

@@ -20,30 +20,42 @@ def by_number(points) -> np.ndarray:
     return 0.02 * (1 + 0.3 * np.sin(1.7 * points.index))
 
 
+#: Element, modulus of the second gradient, formulation.
+CASES = [
+    *((name, None, formulation) for name in ("Q4", "Q8", "T6", "H8", "T10")
+      for formulation in ("small", "finite")),
+    ("Q8", 0.5, "finite"), ("T6", 0.5, "small"),
+]  # fmt: skip
+
+
 def numbers() -> dict:
     found = {}
-    for name in ("Q4", "Q8", "T6", "H8", "T10"):
+    for name, modulus, formulation in CASES:
         dim = element(name).dim
-        for formulation in ("small", "finite"):
-            specimen = Specimen(
-                lambda points, dim=dim: Softening(points.size, 100.0, 0.3, by_number(points), dim),
-                name=name,
-                formulation=formulation,
-                rough=True,
-                tolerance=1e-13,
-            )
-            specimen.pressure.value = 0.2
-            forces = []
-            outcome = walk(
-                specimen.problem,
-                specimen.compress,
-                0.012,
-                LoadStepping(0.004),
-                lambda record, s=specimen, f=forces: f.append([s.top_force(), s.volume()]),
-            )
-            x = specimen.points.coordinates()
-            total = COMM.allreduce((specimen.points.index[:, None] * x).sum(axis=0))
-            found[f"{name} {formulation}"] = [*np.ravel(forces), *total, outcome.evaluations]
+        specimen = Specimen(
+            lambda points, dim=dim: Softening(points.size, 100.0, 0.3, by_number(points), dim),
+            name=name,
+            formulation=formulation,
+            modulus=modulus,
+            rough=True,
+            tolerance=1e-13,
+        )
+        specimen.pressure.value = 0.2
+        forces = []
+        outcome = walk(
+            specimen.problem,
+            specimen.compress,
+            0.012,
+            LoadStepping(0.004),
+            lambda record, s=specimen, f=forces: f.append([s.top_force(), s.volume()]),
+        )
+        x = specimen.points.coordinates()
+        total = COMM.allreduce((specimen.points.index[:, None] * x).sum(axis=0))
+        case = f"{name} {formulation} {modulus}"
+        found[case] = [*np.ravel(forces), *total, outcome.evaluations]
+        if modulus is not None:
+            squares = sum((state.values**2).sum() for state in specimen.operator.states)
+            found[case].append(COMM.allreduce(float(squares)))
     return found
 
 
