@@ -219,9 +219,7 @@ def draw_accuracy() -> None:
     figure.savefig(FIGURES / "accuracy.png")
 
 
-# Bands of a softening law on two meshes; the sheared layer; bands of grains
-
-LAYER = (0.1, 1.0)  # internal length and height
+# Bands of a softening law, and of grains, on two meshes
 
 
 def softening_fields() -> dict[str, np.ndarray]:
@@ -292,8 +290,197 @@ def draw_mesh_independence() -> None:
     figure.savefig(FIGURES / "mesh_independence.png")
 
 
+# Argilaga's study of the tangent operators
+
+
+def run_operators() -> None:
+    output = python("benchmarks/operators.py", "--quick").splitlines()[-1]
+    rounded = json.loads(output, parse_float=lambda text: float(f"{float(text):.4g}"))
+    (FIGURES / "operators.json").write_text(json.dumps(rounded) + "\n")
+
+
+#: Line styles of the operators by kind: perturbed, affine, elastic.
+KINDS = {
+    "CTO": (THEIRS, "-"), "AEO": (THEIRS, "--"), "UKO": ("0.55", "-"), "UCKO": ("0.55", "--"),
+    "UCKO-2DOF": ("0.55", ":"), "KAO": ("0.25", "-."), "DEMQO": (THIRD, "--"), "PSTLO": (OURS, "-"),
+    "default": (OURS, "-"),
+}  # fmt: skip
+
+
+@matplotlib.rc_context(plotting.STYLE)
+def draw_operators() -> None:
+    study = json.loads((FIGURES / "operators.json").read_text())
+    draw_convergence(study)
+    draw_cost(study)
+    draw_spectra(study)
+
+
+def draw_convergence(study: dict) -> None:
+    """Argilaga's fig. 6."""
+    figure = Figure((7.0, 3.0), layout="constrained")
+    for axes, state in zip(figure.subplots(1, 2, sharey=True), ("start", "after"), strict=True):
+        for name, ratios in study["states"][state]["curves"].items():
+            colour, style = KINDS[name]
+            axes.semilogy(ratios, color=colour, ls=style, label=name)
+        axes.axhline(1e-2, color="0.8", lw=0.8, zorder=0)
+        axes.set_xlabel("iteration")
+        axes.set_title(f"from {100 * study['states'][state]['strain']:g} % strain")
+    figure.axes[0].set_ylabel("FNORM/RNORM")
+    figure.axes[1].legend(fontsize="small", ncols=2)
+    figure.savefig(FIGURES / "operators_convergence.png")
+
+
+def draw_cost(study: dict) -> None:
+    """Argilaga's fig. 7, with evaluations beside iterations."""
+    rows = {name: row for name, row in study["operators"].items() if row["strain_at_end"] > 0.0199}
+    place = np.arange(len(rows))
+    figure = Figure((7.0, 2.8), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for shift, when, label in ((-0.2, "pre", "before the peak"), (0.2, "post", "after it")):
+        values = [row[f"evaluations_{when}"] for row in rows.values()]
+        left.bar(place + shift, values, 0.4, color=OURS if shift < 0 else THEIRS, label=label)
+    left.set_ylabel("evaluations of the law per step")
+    left.legend(fontsize="small")
+    timed = {name: row for name, row in rows.items() if row["wall_s"] is not None}
+    tangents = np.array([row["tangent_s"] for row in timed.values()])
+    total = np.array([row["wall_s"] for row in timed.values()])
+    right.bar(list(timed), total - tangents, 0.6, color="0.7", label="evaluations and FEM")
+    right.bar(list(timed), tangents, 0.6, total - tangents, color=THIRD, label="tangents")
+    right.set_ylabel("wall-clock to 2 %, s")
+    right.legend(fontsize="small")
+    left.set_xticks(place, rows, rotation=60, ha="right")
+    for axes in (left, right):
+        axes.set_ylim(0, 1.3 * axes.get_ylim()[1])  # room for the legend
+    figure.savefig(FIGURES / "operators_cost.png")
+
+
+def draw_spectra(study: dict) -> None:
+    """Eigenvalues of K^-1 J; 1 is perfect."""
+    figure = Figure((7.0, 2.8), layout="constrained")
+    for axes, state in zip(figure.subplots(1, 2, sharey=True), ("before", "after"), strict=True):
+        spectra = study["states"][state]["spectra"]
+        for place, (name, (real, _)) in enumerate(spectra.items()):
+            axes.plot(np.full(len(real), place), real, "_", ms=9, color=KINDS[name][0], alpha=0.6)
+        axes.axhline(1.0, color="0.8", lw=0.8, zorder=0)
+        axes.axhline(0.0, color="0.8", lw=0.8, zorder=0)
+        axes.set_ylim(-1.0, 2.0)
+        axes.set_xticks(range(len(spectra)), spectra, rotation=60, ha="right")
+        axes.set_title(f"at {100 * study['states'][state]['strain']:g} % strain")
+    figure.axes[0].set_ylabel("eigenvalues of $K^{-1}J$, real part")
+    figure.savefig(FIGURES / "operators_spectra.png")
+
+
+# The laboratory
+
+
+def femxdem(*arguments: object) -> str:
+    """A command of the laboratory; its output. A test that ends early is fine."""
+    command = [sys.executable, "-m", "femxdem_fenicsx.cli", *map(str, arguments)]
+    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    if done.returncode not in (0, 3):
+        raise RuntimeError(f"femxdem {arguments} ended with exit code {done.returncode}")
+    return done.stdout
+
+
+def keep_picture(source: Path, name: str) -> None:
+    """Copy a picture with 256 colours: smaller files."""
+    with Image.open(source) as picture:
+        picture.convert("RGB").quantize(256).save(FIGURES / f"{name}.png")
+
+
+def run_laboratory() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        work = Path(folder)
+
+        def test(name: str, packing: str, *words: object) -> None:
+            femxdem(
+                "element-test", name, "--packing", work / packing, "--output", work, "--quiet",
+                *words,
+            )  # fmt: skip
+
+        def prepare(name: str, *words: object) -> None:
+            femxdem("packing", "prepare", "--output", work / name, "--quiet", *words)
+
+        prepare("sand.h5")
+        prepare("loose.h5", "--void-ratio", 0.223, "--seed", 4)
+        prepare("medium.h5", "--void-ratio", 0.209, "--seed", 5)
+        femxdem("packing", "plot", work / "sand.h5")
+        keep_picture(work / "sand.png", "lab_packing")
+        test("biaxial", "sand.h5", "--strain", 0.3)
+        keep_picture(work / "biaxial.png", "lab_biaxial")
+        test("cyclic-shear", "loose.h5", "--cycles", 25)
+        keep_picture(work / "cyclic-shear.png", "lab_liquefaction")
+        words = ("--shear-stress", 3e4, "--cycles", 40, "--largest", 0.06)
+        test("cyclic-shear", "medium.h5", *words)
+        keep_picture(work / "cyclic-shear.png", "lab_mobility")
+        test("probes", "sand.h5")
+        keep_picture(work / "probes.png", "lab_probes")
+        test("biaxial", "sand.h5", "--strain", 0.005)
+        test("probes", "biaxial-end.h5")
+        keep_picture(work / "probes.png", "lab_probes_loaded")
+        words = ("--young-modulus", 4e7, "--friction-angle", 26, "--quiet", "--output", work)
+        femxdem("calibrate", *words)
+        keep_picture(work / "calibration.png", "lab_calibration")
+
+
+def draw_laboratory() -> None:
+    """The commands have drawn already."""
+
+
+def run_representativity() -> None:
+    """About half an hour, but for the rows that are there already."""
+    folder = ROOT / "results" / "representativity"
+    femxdem("packing", "representativity", "--output", folder, "--quiet")
+    for name in ("disks", "spheres", "structure"):
+        keep_picture(folder / f"{name}.png", f"lab_{name}")
+    (FIGURES / "representativity.csv").write_text((folder / "summary.csv").read_text())
+
+
+def draw_representativity() -> None:
+    """The command has drawn already."""
+
+
+def run_friction() -> None:
+    output = python("benchmarks/friction_table.py").splitlines()[-1]
+    (FIGURES / "friction.json").write_text(json.dumps(json.loads(output), indent=1) + "\n")
+
+
+@matplotlib.rc_context(plotting.STYLE)
+def draw_friction() -> None:
+    rows = json.loads((FIGURES / "friction.json").read_text())["rows"]
+    mu = [row["friction"] for row in rows]
+    figure = Figure((5.6, 2.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for name, label, colour in (
+        ("peak_friction_angle", "peak friction angle", OURS),
+        ("critical_friction_angle", "critical friction angle", THEIRS),
+        ("dilatancy_angle", "dilatancy angle at peak", THIRD),
+    ):
+        errors = [row[f"{name}_error"] for row in rows]
+        left.errorbar(
+            mu, [row[name] for row in rows], errors, fmt="o-", ms=3, lw=1, capsize=2,
+            color=colour, label=label,
+        )  # fmt: skip
+    left.set(xlabel="contact friction $\\mu$", ylabel="angle (degrees)")
+    left.legend(fontsize="small")
+    for name, label, colour in (
+        ("void_ratio", "at the beginning", "0.5"),
+        ("critical_void_ratio", "critical", OURS),
+    ):
+        errors = [row[f"{name}_error"] for row in rows]
+        right.errorbar(
+            mu, [row[name] for row in rows], errors, fmt="o-", ms=3, lw=1, capsize=2,
+            color=colour, label=label,
+        )  # fmt: skip
+    right.plot(np.tan(0.5), 0.23, "*", ms=9, color=THEIRS, label="Guo–Zhao")
+    right.set(xlabel="contact friction $\\mu$", ylabel="void ratio")
+    right.legend(fontsize="small")
+    figure.savefig(FIGURES / "lab_friction.png")
+
+
 NAMES = (
-    "accuracy", "element_tests", "coupled", "biaxial", "second_gradient", "mesh_independence",
+    "accuracy", "element_tests", "coupled", "biaxial", "operators", "laboratory",
+    "representativity", "friction", "second_gradient", "mesh_independence",
 )  # fmt: skip
 
 

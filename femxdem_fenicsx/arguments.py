@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
 
-from . import script
+from . import contact_arguments, script
 from .checkpoint import Checkpoint, Saving
 from .collective import together
 from .dem.accuracy import PRESETS, Accuracy, preset
-from .dem.contacts import Bonds, ContactLaw, HertzMindlin, LinearContact, RollingResistance
 from .dem.files import load_packing, save_packing
 from .dem.packing import Packing
 from .dem.preparation import random_packing
@@ -32,10 +32,11 @@ if TYPE_CHECKING:
 GRADIENTS = ("first", "second")
 
 #: What may change when a run is resumed: where it goes, how far, and how it is solved. The packing
-#: is compared by what is in it.
+#: is compared by what is in it, the accuracy by its numbers.
 FREE = (
-    "output", "quiet", "resume", "checkpoint_every", "checkpoint_fails", "threads", "packing",
-    "strain", "step", "tolerance", "displacement_tolerance", "looser_tolerance", "max_iterations",
+    "defaults", "output", "quiet", "resume", "checkpoint_every", "checkpoint_fails", "threads",
+    "packing", "accuracy", "time_step", "strain", "step", "tolerance", "displacement_tolerance",
+    "looser_tolerance", "max_iterations", "operator",
 )  # fmt: skip
 
 
@@ -76,31 +77,15 @@ def add_grains(parser: argparse.ArgumentParser, count: int, noun: str) -> argpar
         "--radii", type=float, nargs=2, default=(3e-3, 7e-3), metavar=("MIN", "MAX"), help="m"
     )
     grains.add_argument("--seed", type=int, default=1)
-    grains.add_argument(
-        "--contact-law", default="linear", help=f"elasticity: {', '.join(CONTACT_LAWS)}"
-    )
-    grains.add_argument(
-        "--friction", type=float, default=float(np.tan(0.5)), help="of the contacts"
-    )
-    grains.add_argument("--modulus", type=float, default=6e8, help="E_c of linear contacts, Pa")
-    grains.add_argument("--stiffness-ratio", type=float, default=0.8, help="their k_t / k_n")
-    grains.add_argument("--shear-modulus", type=float, default=4e9, help="G for hertz, Pa")
-    grains.add_argument("--poisson-ratio", type=float, default=0.2, help="nu for hertz")
-    grains.add_argument("--cohesion", type=float, default=0.0, help="of a contact, N")
-    grains.add_argument(
-        "--rolling-friction", type=float, help="largest rolling moment over r f_n  (default: none)"
-    )
-    grains.add_argument(
-        "--bonds",
-        type=float,
-        nargs=2,
-        metavar=("TENSION", "SHEAR"),
-        help="strength of cement between grains that touch, N  (default: none)",
-    )
+    contact_arguments.add_contact_law(grains)
     grains.add_argument(
         "--compaction-friction", type=float, default=0.0, help="0: dense, 0.2: loose"
     )
     return grains
+
+
+#: The operators that win, by dimension of the packing (docs/operators.md).
+DEFAULT_OPERATORS = {2: "PSTLO", 3: "UKO"}
 
 
 def add_compression(parser: argparse.ArgumentParser, strain: float) -> None:
@@ -118,7 +103,10 @@ def add_solution(parser: argparse.ArgumentParser) -> None:
     solution.add_argument(
         "--time-step", type=float, help="share of the stability limit  (default: the preset's)"
     )
-    solution.add_argument("--operator", default="UKO", help=", ".join(OPERATORS))
+    solution.add_argument(
+        "--operator",
+        help=f"{', '.join(OPERATORS)}  (default: PSTLO for disks, UKO for spheres)",
+    )
     solution.add_argument("--tolerance", type=float, default=1e-2, help="FNORM/RNORM")
     solution.add_argument(
         "--displacement-tolerance", type=float, help="on the last correction too (Guo-Zhao: 1e-2)"
@@ -161,7 +149,8 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
     element(args.element, args.points).check_dim(dim)
     _check_gradient(args, dim)
     accuracy_of(args)
-    operator(args.operator)
+    if args.operator is not None:
+        operator(args.operator)
     if not 0 < args.step <= args.strain < 1:
         raise ValueError(
             f"--step {args.step} and --strain {args.strain}: need 0 < step <= strain < 1"
@@ -170,32 +159,6 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
         raise ValueError(f"--pressure {args.pressure}: the lateral pressure must be positive")
     if args.checkpoint_every is not None and args.checkpoint_every < 1:
         raise ValueError(f"--checkpoint-every {args.checkpoint_every}: it must be 1 or more")
-
-
-def contact_law_for(args: argparse.Namespace) -> ContactLaw:
-    """The contact law that was asked for; ValueError for values that make none."""
-    rolling, bonds = args.rolling_friction, args.bonds
-    shared = {
-        "friction": args.friction,
-        "cohesion": args.cohesion,
-        "rolling": None if rolling is None else RollingResistance(rolling),
-        "bonds": None if bonds is None else Bonds(*bonds),
-    }
-    if args.contact_law not in CONTACT_LAWS:
-        known = ", ".join(CONTACT_LAWS)
-        raise ValueError(f"unknown contact law '{args.contact_law}'; choose from {known}")
-    return CONTACT_LAWS[args.contact_law](args, shared)
-
-
-#: Elastic laws by name, from arguments and what all laws share.
-CONTACT_LAWS = {
-    "linear": lambda args, shared: LinearContact(
-        modulus=args.modulus, stiffness_ratio=args.stiffness_ratio, **shared
-    ),
-    "hertz": lambda args, shared: HertzMindlin(
-        shear_modulus=args.shear_modulus, poisson_ratio=args.poisson_ratio, **shared
-    ),
-}
 
 
 def _check_gradient(args: argparse.Namespace, dim: int) -> None:
@@ -240,7 +203,7 @@ def packing_for(args: argparse.Namespace, comm: MPI.Comm, dim: int) -> Packing:
         return random_packing(
             args.grains,
             args.radii,
-            contact_law_for(args),
+            contact_arguments.contact_law_for(args),
             args.pressure,
             args.compaction_friction,
             args.seed,
@@ -272,15 +235,26 @@ def saving_of(args: argparse.Namespace, law: HomogenisedLaw | DistributedLaw) ->
         path = Path(folder, "packing.h5")
         save_packing(path, law.response.committed.template)
         packing = path.read_bytes()
-    scene = {name: str(value) for name, value in vars(args).items() if name not in FREE}
+    scene = {name: value for name, value in vars(args).items() if name not in FREE}
+    scene |= {f"accuracy: {name}": value for name, value in asdict(accuracy_of(args)).items()}
+    defaults = {f"accuracy: {field.name}": field.default for field in fields(Accuracy)}
     return Saving(
         checkpoint_folder(args),
-        scene | {"accuracy": str(accuracy_of(args))},
+        _told(scene),
         packing,
+        _told(defaults | getattr(args, "defaults", {})),
         args.checkpoint_every,
         args.resume,
         args.checkpoint_fails == "stop",
     )
+
+
+def _told(values: Mapping[str, object]) -> dict[str, str]:
+    """Values as text; a default tuple is the same as a list that was given."""
+    return {
+        name: str(list(value) if isinstance(value, tuple) else value)
+        for name, value in values.items()
+    }
 
 
 def accuracy_of(args: argparse.Namespace) -> Accuracy:
@@ -294,9 +268,10 @@ def law_for(
 ) -> HomogenisedLaw | DistributedLaw:
     """A copy of the packing at each of the points; on several ranks each has a home rank."""
     threads = script.threads_per_rank(comm) if args.threads is None else args.threads
+    name = args.operator or DEFAULT_OPERATORS[packing.dim]
 
     def make(numbers: np.ndarray) -> HomogenisedLaw:
-        return HomogenisedLaw(packing, len(numbers), accuracy_of(args), args.operator, threads)
+        return HomogenisedLaw(packing, len(numbers), accuracy_of(args), name, threads)
 
     if comm.size == 1:
         return make(points.index)

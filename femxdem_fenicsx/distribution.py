@@ -2,8 +2,9 @@
 
 In the papers a boss sends whole packings to whoever is idle. Here every packing lives on a home
 rank, which need not be the rank of its quadrature point, and an evaluation moves nothing but F
-there and the stress back. Between load steps packings change their homes where the steps that they
-have taken promise that it pays.
+there and the stress back. An evaluation starts from the committed state, so before any of them
+packings can change their homes: they do where the steps that they took in the last one, which is
+much like the next, promise that it pays.
 """
 
 from __future__ import annotations
@@ -20,8 +21,11 @@ from mpi4py import MPI
 from .collective import together
 from .law import Law
 
-#: What moving a packing costs, in steps of its DEM: docs/cluster.md has the measurement.
-STEPS_PER_MOVE = 50
+#: Steps of a packing's DEM that take as long as sending it to another rank, and as copying one
+#: that stays into new arrays, which is done whenever the rank's packings change (docs/cluster.md).
+STEPS_PER_MOVE, STEPS_PER_STAY = 20.0, 5.0
+#: Evaluations within which a move must pay.
+EVALUATIONS_TO_PAY = 10
 #: A placement stands while the busiest rank has at most this over the mean.
 IMBALANCE_ALLOWED = 1.02
 
@@ -31,11 +35,13 @@ class MovableLaw(Law, Protocol):
 
     Attributes:
         FIELDS: the attributes that are arrays with a value for each point.
-        effort: steps that each point has taken so far, (n,), integers.
+        cost: steps that each point took in its last evaluation, (n,), integers.
+        threads: that share the points of a rank.
     """
 
     FIELDS: tuple[str, ...]
-    effort: np.ndarray
+    cost: np.ndarray
+    threads: int
 
     def state(self) -> dict[str, np.ndarray]:
         """The committed state: arrays with one row per point."""
@@ -93,6 +99,31 @@ def _longest_first(cost, order, home, ranks: int, limit: float) -> np.ndarray:
     return new
 
 
+def better_homes(cost: np.ndarray, home: np.ndarray, ranks: int, threads: int) -> np.ndarray | None:
+    """New homes (n,), where a few evaluations gain more by them than the move takes; else None.
+
+    Arguments as those of `place`; `threads` share the packings of a rank.
+    """
+    load = loads(cost, home, ranks)
+    if imbalance(load) <= IMBALANCE_ALLOWED:
+        return None
+    new = place(cost, home, ranks)
+    gain = (load.max() - loads(cost, new, ranks).max()) / threads
+    return new if EVALUATIONS_TO_PAY * gain > price_of(home, new, ranks) else None
+
+
+def price_of(home: np.ndarray, new: np.ndarray, ranks: int) -> float:
+    """Steps that packings could take while they change their homes, at the slowest rank."""
+    leave, arrive = (np.bincount(h[new != home], minlength=ranks) for h in (home, new))
+    stay = np.bincount(home[new == home], minlength=ranks)
+    return float((STEPS_PER_MOVE * np.maximum(leave, arrive) + STEPS_PER_STAY * stay).max())
+
+
+def imbalance(load: np.ndarray) -> float:
+    """Load of the busiest rank over the mean of all; 1 where there is nothing to do."""
+    return float(load.max() / load.mean()) if load.any() else 1.0
+
+
 class DistributedLaw:
     """A law whose points are computed on their home ranks. All its methods are collective.
 
@@ -103,7 +134,8 @@ class DistributedLaw:
         law: the packings at home on this rank. dim: of the law.
         size: number of this rank's own quadrature points.
         numbers: of the points whose packings are at home here, in the law's order, ascending.
-        balance: what the last commit found of the load, and did about it.
+        balance: what the last evaluation found of the load, and did about it. moved: packings that
+            have changed their homes so far.
         sent: bytes that this rank has sent to others, by purpose.
 
     Args:
@@ -132,9 +164,8 @@ class DistributedLaw:
         self._settle(place(np.ones(len(everyone)), self._owner, comm.size))
         self.law = together(comm, make, self.numbers)
         self.dim = self.law.dim
-        self._effort = self.law.effort.copy()
-        self._cost = None
-        self.balance = self._found(np.ones(len(everyone)), self._home, self._home)
+        self._threads = comm.allreduce(self.law.threads, MPI.MIN)  # all must decide the same
+        self.balance, self.moved = Balance(1.0, 1.0, 0), 0
 
     def __getattr__(self, name: str):
         if name == "law":  # not made yet
@@ -146,6 +177,7 @@ class DistributedLaw:
 
     def evaluate(self, F: np.ndarray) -> np.ndarray:
         """Stress (size, d, d), Pa, at F (size, d, d). Raises, on all ranks, what the law raises."""
+        self._rehome()
         at_home = self._to_homes(np.asarray(F, np.float64), "evaluation")
         return self._to_points(together(self._comm, self.law.evaluate, at_home), "evaluation")
 
@@ -154,9 +186,8 @@ class DistributedLaw:
         return self._to_points(together(self._comm, self.law.tangent), "tangent")
 
     def commit(self) -> None:
-        """The trial becomes the state; then packings change their homes where that pays."""
+        """The trial becomes the state."""
         together(self._comm, self.law.commit)
-        self._rehome()
 
     def discard(self) -> None:
         """Forget the trial."""
@@ -169,7 +200,6 @@ class DistributedLaw:
     def load(self, group: h5py.Group) -> None:
         """Read back what `save` wrote: rows in the order of `numbers`."""
         self.law.load(group)
-        self._effort = self.law.effort.copy()
 
     def packing(self, point: int | None):
         """The committed packing of one point, on all ranks; `point` on the rank that asks alone."""
@@ -185,61 +215,57 @@ class DistributedLaw:
     # ---- moving house ---------------------------------------------------------------------------
 
     def _rehome(self) -> None:
-        """Move packings if the last load step's steps say that the next one gains by it."""
-        cost = self._measured()
-        self._effort = self.law.effort.copy()
-        ranks = self._comm.size
-        if imbalance(loads(cost, self._home, ranks)) <= IMBALANCE_ALLOWED:
-            self.balance = self._found(cost, self._home, self._home)
+        """Move packings if the last evaluation says that the next ones gain by it."""
+        ranks, new = self._comm.size, None
+        load = np.empty(ranks, np.int64)
+        self._comm.Allgather(np.array([self.law.cost.sum()], np.int64), load)
+        busy = imbalance(load)
+        if busy > IMBALANCE_ALLOWED:
+            cost = self._everywhere(self.law.cost)
+            new = better_homes(cost, self._home, ranks, self._threads)
+        if new is None:
+            self.balance = Balance(busy, busy, 0)
             return
-        new = place(cost, self._home, ranks)
-        gain = loads(cost, self._home, ranks).max() - loads(cost, new, ranks).max()
-        leaving = np.bincount(self._home[new != self._home], minlength=ranks)
-        arriving = np.bincount(new[new != self._home], minlength=ranks)
-        pays = gain > STEPS_PER_MOVE * max(leaving.max(), arriving.max())
-        self.balance = self._found(cost, self._home, new if pays else self._home)
-        if pays:
-            self.move(new)
+        moved = int((new != self._home).sum())
+        self.balance = Balance(busy, imbalance(loads(cost, new, ranks)), moved)
+        self.moved += moved
+        self.move(new)
 
-    def _measured(self) -> np.ndarray:
-        """Steps of each packing since the last commit, (all points,), on all ranks."""
-        spent = np.ascontiguousarray(self.law.effort - self._effort, np.int64)
+    def _everywhere(self, at_home: np.ndarray) -> np.ndarray:
+        """Integers of the packings at home here -> those of all packings, on all ranks."""
         counts = np.bincount(self._home, minlength=self._comm.size)
         by_home = np.empty(len(self._home), np.int64)
-        self._comm.Allgatherv(spent, [by_home, counts])
-        cost = np.empty(len(self._home))
-        cost[np.argsort(self._home, kind="stable")] = by_home
-        return cost
-
-    def _found(self, cost: np.ndarray, home: np.ndarray, new: np.ndarray) -> Balance:
-        before, after = (imbalance(loads(cost, h, self._comm.size)) for h in (home, new))
-        return Balance(before, after, int((home != new).sum()))
+        self._comm.Allgatherv(np.ascontiguousarray(at_home, np.int64), [by_home, counts])
+        values = np.empty(len(self._home))
+        values[np.argsort(self._home, kind="stable")] = by_home
+        return values
 
     def move(self, home: np.ndarray) -> None:
         """Give every packing a new home (all points,), the same on all ranks: bit for bit.
 
-        Call it between load steps: a trial is forgotten.
+        A trial is forgotten.
         """
-        old, numbers, rank = self._home, self.numbers, self._comm.rank
-        arriving = np.flatnonzero(home == rank)
-        leaves = np.argsort(home[numbers], kind="stable")
-        to = np.bincount(home[numbers], minlength=self._comm.size)
-        come = np.argsort(old[arriving], kind="stable")
-        since = np.bincount(old[arriving], minlength=self._comm.size)
+        old, here, rank, ranks = self._home, self.numbers, self._comm.rank, self._comm.size
+        there = np.flatnonzero(home == rank)
+        leaving = here[home[here] != rank]
+        leaving = leaving[np.argsort(home[leaving], kind="stable")]
+        arriving = there[old[there] != rank]
+        arriving = arriving[np.argsort(old[arriving], kind="stable")]
+        staying = there[old[there] == rank]
+        to, since = (np.bincount(ends, minlength=ranks) for ends in (home[leaving], old[arriving]))
         state = self.law.state()
         for name in sorted(state):
-            row = state[name][:0]
-            arrived = np.empty((len(arriving), *row.shape[1:]), row.dtype)
-            received = np.empty_like(arrived)
-            leaving = np.ascontiguousarray(state[name][leaves])
-            width = row.dtype.itemsize * int(np.prod(row.shape[1:]))
-            self._comm.Alltoallv(_bytes(leaving, to * width), _bytes(received, since * width))
-            arrived[come] = received
-            state[name] = arrived
-            self.sent["moves"] += int(to.sum() - to[rank]) * width
+            rows = state[name]
+            sent = np.ascontiguousarray(rows[np.searchsorted(here, leaving)])
+            received = np.empty((len(arriving), *rows.shape[1:]), rows.dtype)
+            width = rows.dtype.itemsize * int(np.prod(rows.shape[1:]))
+            self._comm.Alltoallv(_bytes(sent, to * width), _bytes(received, since * width))
+            state[name] = np.empty((len(there), *rows.shape[1:]), rows.dtype)
+            state[name][np.searchsorted(there, staying)] = rows[np.searchsorted(here, staying)]
+            state[name][np.searchsorted(there, arriving)] = received
+            self.sent["moves"] += sent.nbytes
         self._settle(home)
         together(self._comm, self.law.restore, state)
-        self._effort = self.law.effort.copy()
 
     def _settle(self, home: np.ndarray) -> None:
         """Work out who sends how many points to whom when every packing is at its home."""
@@ -280,11 +306,6 @@ class DistributedLaw:
         result = np.empty_like(arriving)
         result[comes] = arriving
         return result
-
-
-def imbalance(load: np.ndarray) -> float:
-    """Load of the busiest rank over the mean of all; 1 where there is nothing to do."""
-    return float(load.max() / load.mean()) if load.any() else 1.0
 
 
 def _bytes(array: np.ndarray, counts: np.ndarray) -> list:

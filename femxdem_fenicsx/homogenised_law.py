@@ -115,6 +115,9 @@ class HomogenisedLaw:
     ):
         """The same packing at all `size` points; ValueError for what is not possible."""
         self._operator = operator(operator_name)
+        self._memory = getattr(self._operator, "memory", {})
+        if hasattr(self._operator, "start"):
+            self._operator.start(size, packing.dim)
         self.response = Response(packing, size, accuracy, threads)
         self.dim, self.size = packing.dim, size
         self._identity = np.eye(self.dim)
@@ -179,10 +182,19 @@ class HomogenisedLaw:
         arrays = {name: array for name, array in arrays.items() if array is not None}
         for name, array in response.committed_outcome._asdict().items():
             arrays[f"outcome/{name}"] = array
-        return arrays | {"initial_box": self._initial_box, "tally": self._committed_tally}
+        for name, array in self._memory.items():
+            arrays[f"operator/{name}"] = array
+        return arrays | {
+            "initial_box": self._initial_box,
+            "cost": response.cost,
+            "tally": self._committed_tally,
+            "tally_with_trials": self.tally.by_packing,
+        }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Take over what `state` gave, here or elsewhere, of any number of packings.
+
+        The arrays are this law's from then on.
 
         Raises ValueError, and changes nothing, for arrays other than this law's.
         """
@@ -195,19 +207,22 @@ class HomogenisedLaw:
             shape = (size, *array.shape[1:])
             if state[name].shape != shape:
                 raise ValueError(f"{name} has shape {state[name].shape}, this law has {shape}")
-        state = {name: np.array(array, own[name].dtype) for name, array in state.items()}
+        state = {name: np.asarray(array, own[name].dtype) for name, array in state.items()}
         self._initial_box = state.pop("initial_box")
         self._committed_tally = state.pop("tally")
-        self.tally.by_packing = self._committed_tally.copy()
+        self.tally.by_packing = state.pop("tally_with_trials")
         outcome = {name: state.pop(f"outcome/{name}") for name in Outcome._fields}
+        for name in self._memory:
+            self._memory[name] = state.pop(f"operator/{name}")
         self.size = size
-        self.response.restore(state, Outcome(**outcome))
+        self.response.restore(state, Outcome(**outcome), state.pop("cost"))
         self.discard()
 
     def save(self, group: h5py.Group) -> None:
         """Write the committed state into an HDF5 group, one row per packing."""
         for name, array in self.state().items():
-            group[name] = array
+            if name != "tally_with_trials":  # a resumed run tries again
+                group[name] = array
 
     def load(self, group: h5py.Group) -> None:
         """Read back, bit for bit, what `save` wrote; ValueError for a state of another shape."""
@@ -220,12 +235,17 @@ class HomogenisedLaw:
                 state.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None
             )
         )
-        self.restore(state)
+        self.restore(state | {"tally_with_trials": state["tally"].copy()})
 
     @property
-    def effort(self) -> np.ndarray:
-        """Steps of the DEM that each packing has taken so far, (n,)."""
-        return self.tally.by_packing["steps"]
+    def cost(self) -> np.ndarray:
+        """Steps of the DEM that each packing took in its last evaluation, (n,)."""
+        return self.response.cost
+
+    @property
+    def threads(self) -> int:
+        """Threads that share the packings."""
+        return self.response.threads
 
     @property
     def stress(self) -> np.ndarray:

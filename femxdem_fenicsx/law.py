@@ -69,6 +69,7 @@ class _Analytic:
     """
 
     FIELDS = ("stress",)
+    threads = 1
 
     def __init__(self, dim: int, **state: np.ndarray):
         self.dim = dim
@@ -94,7 +95,7 @@ class _Analytic:
         self._trial = self._state
 
     @property
-    def effort(self) -> np.ndarray:
+    def cost(self) -> np.ndarray:
         """Nothing that could be counted."""
         return np.zeros(self.size, np.int64)
 

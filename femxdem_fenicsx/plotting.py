@@ -19,6 +19,7 @@ from matplotlib.ticker import MaxNLocator
 
 from .dem.homogenisation import Contacts, coordination_number, fabric, fabric_anisotropy, touching
 from .dem.packing import Packing
+from .writing import aside
 
 STYLE = {
     "font.family": "sans-serif",
@@ -196,15 +197,15 @@ def save_force_chains(path: str | Path, packings: Sequence[tuple[str, Packing]])
     figure.colorbar(chains, ax=top, label="normal force (N)", shrink=0.8, aspect=25)
     bottom = [figure.add_subplot(grid[1, k], projection="polar") for k in range(len(packings))]
     for axes, (_, packing) in zip(bottom, packings, strict=True):
-        _draw_rose(axes, packing)
+        draw_rose(axes, packing)
     outer = max(axes.get_ylim()[1] for axes in bottom)
     for axes in bottom:
         axes.set_ylim(0.0, outer)
     bottom[0].set_ylabel("contact normals (1/rad)", labelpad=18)
-    _save(figure, path)
+    save(figure, path)
 
 
-def _draw_rose(axes: Axes, packing: Packing) -> None:
+def draw_rose(axes: Axes, packing: Packing) -> None:
     """Rose of contact normals and its Fourier fit on polar axes."""
     contacts = touching(packing)
     edges, density = rose(contacts.normals)
@@ -267,7 +268,7 @@ def save_history(
     if others:
         upper.legend()
     figure.align_ylabels()
-    _save(figure, path)
+    save(figure, path)
 
 
 def _curve(name: str, strain, ratio, volume) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
@@ -337,10 +338,10 @@ def save_fields(
         bar.outline.set_linewidth(0.4)
         bar.update_ticks()
     row[0].set_ylabel("y (m)")
-    _save(figure, path)
+    save(figure, path)
 
 
-def _save(figure: Figure, path: str | Path) -> None:
-    """Write the picture; folders that are missing are made."""
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+def save(figure: Figure, path: str | Path) -> None:
+    """Write the picture, aside first; folders that are missing are made."""
+    with aside(path) as beside:
+        figure.savefig(beside)

@@ -11,15 +11,13 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 
 from mpi4py import MPI
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
-from .dem.preparation import NotReached
+from . import terminal
 from .fem.options import petsc_options
+from .terminal import LOST_CONTROLLABILITY, USER_ERROR, USER_ERRORS, HelpFormatter, refuse
 
-USER_ERRORS = (ValueError, OSError, NotReached)
-USER_ERROR, LOST_CONTROLLABILITY = 2, 3
+__all__ = ["LOST_CONTROLLABILITY", "USER_ERROR", "USER_ERRORS", "HelpFormatter"]
+
 #: Exit code of a run that a signal stopped, less the signal's number: the shell's convention.
 SIGNALLED = 128
 #: s; ranks that fail together do so within this time.
@@ -68,27 +66,20 @@ def _all_arrive(watch: MPI.Comm) -> bool:
     return True
 
 
-class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
-    """Defaults behind the help texts, but for options that say themselves what None means."""
-
-    def _get_help_string(self, action: argparse.Action) -> str | None:
-        return action.help if action.default is None else super()._get_help_string(action)
-
-
 def parse(parser: argparse.ArgumentParser, comm: MPI.Comm, arguments: Sequence[str] | None = None):
-    """Parsed arguments; what argparse does not know goes to PETSc. Rank 0 alone prints.
+    """Parsed arguments, and their `defaults` by name; rank 0 alone prints.
+
+    What argparse does not know goes to PETSc.
 
     Raises ValueError for what argparse refuses, and for what PETSc cannot take either.
     """
-
-    def refuse(message: str):
-        raise ValueError(f"{message}; see --help")
 
     parser.error = refuse
     with open(os.devnull, "w") as nowhere:
         silent = nowhere if comm.rank > 0 else None
         with redirect_stdout(silent or sys.stdout), redirect_stderr(silent or sys.stderr):
             known, rest = parser.parse_known_args(arguments)
+    known.defaults = {action.dest: action.default for action in parser._actions}
     petsc_options(rest)
     return known
 
@@ -104,49 +95,14 @@ def threads_per_rank(comm: MPI.Comm) -> int:
     return allowed if bound else max(allowed // on_this_machine, 1)
 
 
-class LoadProgress:
-    """A progress bar over a load path; lines instead, one per tenth, where nobody watches."""
+class LoadProgress(terminal.LoadProgress):
+    """The same on rank 0 alone."""
 
     def __init__(self, comm: MPI.Comm, end: float, quiet: bool = False):
-        """For a load that ends at `end`; only rank 0 shows anything."""
-        self._end, self._shown = end, 0.0
-        self._started = time.perf_counter()
-        self._console = Console(quiet=quiet or comm.rank > 0, highlight=False)
-        self._bar = Progress(
-            BarColumn(bar_width=14),
-            TextColumn("{task.description}"),
-            TimeRemainingColumn(),
-            TextColumn("left"),
-            console=self._console,
-            disable=not self._console.is_terminal or self._console.quiet,
-        )
-
-    def __enter__(self) -> LoadProgress:
-        self._bar.start()
-        self._task = self._bar.add_task("starting: compiling", total=self._end)
-        return self
-
-    def __exit__(self, *error) -> None:
-        self._bar.stop()
-
-    def show(self, load: float, description: str) -> None:
-        """The load reached, and what to say about it."""
-        self._bar.update(self._task, completed=load, description=description)
-        due = load - self._shown >= 0.1 * self._end or load >= self._end
-        if self._bar.disable and due:
-            self._shown = load
-            seconds = time.perf_counter() - self._started
-            left = seconds * (self._end - load) / load
-            self._console.print(f"{description}  {seconds:.0f} s, {left:.0f} s left")
-
-    def say(self, line: str) -> None:
-        """A line above the bar."""
-        self._console.print(line)
+        """For a load that ends at `end`."""
+        super().__init__(end, quiet or comm.rank > 0)
 
 
 def print_table(comm: MPI.Comm, title: str, rows: Mapping[str, str], quiet: bool = False) -> None:
     """A two-column table on rank 0."""
-    table = Table(title=title, show_header=False, title_justify="left")
-    for name, value in rows.items():
-        table.add_row(name, value)
-    Console(quiet=quiet or comm.rank > 0, highlight=False).print(table)
+    terminal.print_table(title, rows, quiet or comm.rank > 0)

@@ -103,7 +103,7 @@ def test_an_evaluation_sends_F_there_and_the_stress_back_and_nothing_else(states
     assert 0 < told[2, 1, "stay"]["sent"] <= 7 * 8 * per_point  # 7 points, 8 evaluations
 
 
-def test_costs_that_differ_thirty_times_are_balanced_between_the_steps():
+def test_costs_that_differ_thirty_times_are_balanced_before_they_are_paid_again():
     run = run_on_ranks(2, MODULE, "uneven")
     assert run.returncode == 0, run.stderr
     told = json.loads(run.stdout)

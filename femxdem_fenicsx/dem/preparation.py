@@ -1,16 +1,18 @@
 """Random packings: grains thrown into a wide box, which is compressed to a target stress."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from . import dynamics
 from .contacts import ContactLaw, LinearContact
 from .dynamics import OK
+from .grain_sizes import GivenRadii, GrainSizes, UniformByNumber
 from .homogenisation import measure, touching
 from .loading import pressure_of
-from .neighbours import remember
+from .neighbours import box_heights, remember
 from .packing import PAIRS_PER_GRAIN, Packing
 from .response import load_kernels
 from .stability import stable_time_step
@@ -21,17 +23,33 @@ DAMPING = 0.3
 BLOCK = 25
 #: Growth per block of what is known of how much softer in shear a packing is than its contacts.
 SOFTER = 1.05
+#: Span of the compaction friction within which void ratio answers to chance, not to friction.
+SCATTER = 0.05
 #: Most blocks before a preparation is given up.
 MOST_BLOCKS = 40000
 
 
+#: Contact law of Guo-Zhao table I.
+GUO_ZHAO = LinearContact(modulus=6e8, stiffness_ratio=0.8, friction=float(np.tan(0.5)))
+#: Friction during the compression, by density class. 400 disks at 100 kPa come to void ratios of
+#: about 0.175, 0.205 and 0.228 (Guo-Zhao: 0.177, 0.209 and 0.223).
+DENSITIES = {"dense": 0.0, "medium": 0.1, "loose": 0.3}
+
+
 class NotReached(RuntimeError):
-    """A pressure or a void ratio that the grains did not come to; the message says how far."""
+    """A stress or a void ratio that the grains did not come to; the message says how far.
+
+    packing: the state that was reached, or None where there is none to show.
+    """
+
+    def __init__(self, message: str, packing: Packing | None = None):
+        super().__init__(message)
+        self.packing = packing
 
 
 def random_packing(
     grains: int = 400,
-    radii: tuple[float, float] = (3e-3, 7e-3),
+    radii: tuple[float, float] | GrainSizes = (3e-3, 7e-3),
     law: ContactLaw | None = None,
     pressure: float | Sequence[float] = 1e5,
     compaction_friction: float = 0.0,
@@ -46,7 +64,8 @@ def random_packing(
 
     Args:
         grains: their number.
-        radii: the two bounds of a uniform distribution, m (defaults: Guo-Zhao table I).
+        radii: how the radii are distributed, see `grain_sizes`; two values are the bounds of a
+            distribution that is uniform by number, m (defaults: Guo-Zhao table I).
         law: contact law of the finished packing; Guo-Zhao's by default. Where it has bonds, all
             grains that touch in the end are cemented.
         pressure: Pa, compression positive; isotropic, or one value per axis (Desrues table 4).
@@ -63,11 +82,10 @@ def random_packing(
         ValueError: for values that make no packing.
         NotReached: if the target is not reached.
     """
-    law = law or LinearContact(modulus=6e8, stiffness_ratio=0.8, friction=float(np.tan(0.5)))
+    law = law or GUO_ZHAO
+    sizes = UniformByNumber(*radii) if isinstance(radii, tuple | list) else radii
     if grains < 1:
         raise ValueError(f"a packing needs 1 grain or more, got {grains}")
-    if not 0 < radii[0] <= radii[1] < np.inf:
-        raise ValueError(f"radii: need 0 < smallest <= largest (m), got {radii[0]} and {radii[1]}")
     if dim not in (2, 3):
         raise ValueError(f"a packing has 2 or 3 dimensions, not {dim}")
     if thickness is None:
@@ -77,7 +95,7 @@ def random_packing(
     compaction_law = replace(
         law, friction=compaction_friction, cohesion=0.0, rolling=None, bonds=None
     )
-    dilute = _dilute(grains, dim, radii, compaction_law, density, thickness, rng)
+    dilute = _dilute(grains, dim, sizes, compaction_law, density, thickness, rng)
     # grains without friction could not bear unequal stresses: those come with the law's friction
     compacted = compress(dilute, float(np.min(pressure)), tolerance, rng, progress)
     settled = settle(compacted.but(law=law), pressure, tolerance)
@@ -96,47 +114,87 @@ def packing_of_void_ratio(
             that not every value is met by every seed.
         preparation: what `random_packing` takes, but no compaction_friction.
 
-    Raises NotReached, with the void ratios reached, where none is close enough.
+    Raises ValueError for a void ratio that is not positive, and NotReached, with the void ratios
+    reached and the packing that came closest, where none is close enough.
     """
+    if not 0 < void_ratio < np.inf:
+        raise ValueError(f"void ratio: need a positive one, got {void_ratio}")
     low, high = 0.0, 1.0
     tried: dict[float, Packing] = {}
 
     def error(friction: float) -> float:
+        friction = float(friction)
         tried[friction] = random_packing(compaction_friction=friction, **preparation)
         return tried[friction].void_ratio - void_ratio
 
+    def close() -> bool:
+        return any(abs(packing.void_ratio - void_ratio) <= tolerance for packing in tried.values())
+
     error_low, error_high = error(low), error(high)
     if error_low * error_high < 0:
-        while len(tried) < most and min(abs(error_low), abs(error_high)) > tolerance:
+        while not close() and high - low > SCATTER and len(tried) < most:
             middle = 0.5 * (low + high)
-            error_middle = error(middle)
-            if error_middle * error_low > 0:
-                low, error_low = middle, error_middle
+            if error(middle) * error_low > 0:
+                low = middle
             else:
-                high, error_high = middle, error_middle
+                high = middle
+        around = np.linspace(max(low - SCATTER, 0.0), high + SCATTER, most - len(tried))
+        for friction in sorted(around, key=lambda friction: abs(friction - 0.5 * (low + high))):
+            if close():
+                break
+            error(friction)
     best = min(tried.values(), key=lambda packing: abs(packing.void_ratio - void_ratio))
     if abs(best.void_ratio - void_ratio) > tolerance:
         reached = sorted(packing.void_ratio for packing in tried.values())
         raise NotReached(
             f"void ratio {void_ratio} was not reached: compaction friction from 0 to 1 gives"
             f" {reached[0]:.4f} to {reached[-1]:.4f}, {best.void_ratio:.4f} at best; take another"
-            " seed or more grains"
+            " seed or more grains",
+            best,
         )
     return best
 
 
-def _dilute(grains, dim, radii, law, density, thickness, rng) -> Packing:
+def library(
+    count: int, seed: int = 1, void_ratio: float | None = None, **preparation
+) -> Iterator[Packing]:
+    """Statistically equal packings for spatial variability (Desrues section 5), one by one.
+
+    All have the same grains, drawn with the first seed, so that they can share a `PackingBatch`;
+    where the grains start and how they move differs from seed to seed.
+
+    Args:
+        count: packings.
+        seed: of the first one; the others take the next ones.
+        void_ratio: of each one; see `packing_of_void_ratio`.
+        preparation: what `random_packing` takes.
+    """
+    if count < 1:
+        raise ValueError(f"a library needs 1 packing or more, got {count}")
+    prepare = random_packing
+    if void_ratio is not None:
+        prepare = partial(packing_of_void_ratio, void_ratio)
+    first = prepare(seed=seed, **preparation)
+    yield first
+    preparation["radii"] = GivenRadii(tuple(first.radii))
+    for k in range(1, count):
+        yield prepare(seed=seed + k, **preparation)
+
+
+def _dilute(
+    grains: int, dim: int, sizes: GrainSizes, law, density: float, thickness: float, rng
+) -> Packing:
     """Grains on randomly chosen places of a square lattice that is too wide for any contact."""
     columns = np.full(dim, int(np.ceil(grains ** (1 / dim) - 1e-9)))
     columns[-1] = int(np.ceil(grains / np.prod(columns[:-1])))
     places = np.stack(np.meshgrid(*map(np.arange, columns), indexing="ij"), -1)
     places = rng.permutation(places.reshape(-1, dim))[:grains]
-    spacing = 2.1 * radii[1]
-    sizes = rng.uniform(radii[0], radii[1], grains)
+    spacing = 2.1 * sizes.largest
+    radii = sizes.draw(grains, dim, rng)
     jitter = rng.uniform(-0.02, 0.02, (grains, dim))
     positions = (places + 0.5 + jitter) / columns
     box = np.diag(columns) * spacing
-    return Packing(box, positions, sizes, law, density, thickness)
+    return Packing(box, positions, radii, law, density, thickness)
 
 
 def compress(
@@ -174,6 +232,8 @@ def compress(
     dt = 0.5 * stable_time_step(packing, pressure)
     rate, stress, fabric, deviator = np.zeros((4, packing.dim, packing.dim))
     softness, modulus = 1.0, packing.contact_modulus(packing.overlap_under(pressure))
+    # a little above what `Packing` refuses, so that the state can be kept
+    flattest = 4.4 * packing.radii.max()
     for block in range(MOST_BLOCKS):
         _must(dynamics.advance(BLOCK, dt, rate, DAMPING, material, work))
         contacts, _ = measure(work.motion, work.pairs, material, packing.thickness, stress, fabric)
@@ -192,9 +252,16 @@ def compress(
         rate *= min(1.0, fastest / np.abs(rate).max())
         if progress is not None and block % 20 == 0:
             progress(float(pressure_of(stress)) / pressure)
+        flat = min(box_heights(work.motion.box)) < flattest
+        if flat:
+            break
+    reached, wanted = (", ".join(f"{x:.4g}" for x in np.diag(s)) for s in (-stress, target))
+    why = "; the box has flattened: the grains cannot bear these stresses" if flat else ""
     raise NotReached(
-        f"preparation: reached {pressure_of(stress):.4g} Pa of {pressure:.4g} Pa, unbalance"
-        f" {net / max(force, 1e-300):.2g}, after {MOST_BLOCKS * BLOCK} steps"
+        f"preparation: reached {pressure_of(stress):.4g} Pa of {pressure:.4g} Pa ({reached} of"
+        f" {wanted} along the axes), unbalance {net / max(force, 1e-300):.2g}, after"
+        f" {(block + 1) * BLOCK} steps{why}",
+        packing_of(packing, work),
     )
 
 

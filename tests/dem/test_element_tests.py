@@ -1,10 +1,26 @@
 """One material point under mixed control: closed forms, and YADE's drained test."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 from femxdem_fenicsx.dem.accuracy import PRESETS
-from femxdem_fenicsx.dem.element_tests import drained_biaxial, drained_compression, increment
+from femxdem_fenicsx.dem.element_tests import (
+    along,
+    constant_volume_compression,
+    cyclic_shear,
+    drained_biaxial,
+    drained_compression,
+    increment,
+    isotropic_compression,
+    oedometric_compression,
+    simple_shear,
+    true_triaxial,
+)
+from femxdem_fenicsx.dem.load_path import read_path
+from femxdem_fenicsx.dem.mixed_control import Servo
+from femxdem_fenicsx.dem.preparation import packing_of_void_ratio
 from femxdem_fenicsx.homogenised_law import HomogenisedLaw
 from femxdem_fenicsx.law import LinearElastic, NeoHookean
 from tests.reference import reference_packing, table
@@ -140,3 +156,145 @@ def test_the_drained_peak_is_yades(drained):
     strain, ratio, _ = drained
     assert ratio.max() == pytest.approx(2.88, rel=0.02)
     assert 0.017 < strain[ratio.argmax()] < 0.024
+
+
+# Other tests of an elastic solid
+
+
+def servo(dim: int = 2, pressure: float = CONFINING) -> Servo:
+    return Servo(LinearElastic(1, YOUNG, POISSON, -pressure * np.eye(dim), dim=dim), 1.0)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_isotropic_compression_has_the_bulk_modulus(dim):
+    states = list(isotropic_compression(servo(dim), 2e5, 10))
+    bulk = LAME + 2 * SHEAR / dim
+    last = states[-1]
+    assert len(states) == 10 and last.pressure == pytest.approx(2e5, abs=1.0)
+    assert np.log1p(last.volumetric_strain) == pytest.approx(-1e5 / bulk, rel=1e-2)
+    ratios = [b.pressure / a.pressure for a, b in itertools.pairwise(states)]
+    assert ratios == pytest.approx([2**0.1] * 9, rel=1e-3)
+    np.testing.assert_allclose(last.deformation, last.deformation[0, 0] * np.eye(dim), rtol=1e-6)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_oedometric_compression_and_its_way_back(dim):
+    point = servo(dim)
+    (state,) = oedometric_compression(point, 1e-3, 1e-3)
+    assert state.stress[-1, -1] == pytest.approx(-CONFINING - (LAME + 2 * SHEAR) * 1e-3)
+    assert state.stress[0, 0] == pytest.approx(-CONFINING - LAME * 1e-3)
+    *_, back = oedometric_compression(point, -1e-3 / 0.999, 1e-4)
+    assert back.axial_strain == pytest.approx(0.0, abs=1e-12)
+    assert back.stress[-1, -1] == pytest.approx(-CONFINING, rel=1e-3)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_constant_volume_compression_keeps_volume_and_elastic_pressure(dim):
+    states = list(constant_volume_compression(servo(dim), 0.02, 1e-3, fine=5))
+    assert len(states) == 24 and states[4].axial_strain == pytest.approx(1e-3)
+    for state in states:
+        assert state.volumetric_strain == pytest.approx(0.0, abs=1e-12)
+        assert state.pressure == pytest.approx(CONFINING, rel=2e-2)  # but for second order
+    assert states[-1].axial_strain == pytest.approx(0.02)
+    assert states[-1].stress[0, 0] - states[-1].stress[-1, -1] > 0.03 * 2 * SHEAR * 0.6
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_simple_shear_under_constant_normal_stress(dim):
+    states = list(simple_shear(servo(dim), 0.01, 1e-3, normal=CONFINING))
+    for k, state in enumerate(states, 1):
+        assert state.shear_strain == pytest.approx(k * 1e-3)
+        assert state.stress[0, -1] == pytest.approx(SHEAR * k * 1e-3, rel=2e-2)
+        assert state.stress[-1, -1] == pytest.approx(-CONFINING, abs=1.0)
+        assert state.deformation[0, 0] == 1.0
+        assert (np.tril(state.deformation, -1) == 0).all()
+
+
+def test_cyclic_shear_turns_at_its_amplitude_and_ends_where_it_began():
+    gamma = [s.shear_strain for s in cyclic_shear(servo(), 2, amplitude=1e-3, step=4e-4)]
+    up = [4e-4, 8e-4, 1e-3]
+    down = [6e-4, 2e-4, -2e-4, -6e-4, -1e-3]
+    again = [-x for x in down]
+    assert gamma == pytest.approx([*up, *down, *again, *down, -6e-4, -2e-4, 0.0], abs=1e-12)
+
+
+def test_cyclic_shear_turns_where_its_stress_is_reached_or_gives_up():
+    states = list(cyclic_shear(servo(), 3, stress=5e3, step=1e-4))
+    tau = np.array([s.stress[0, 1] for s in states])
+    assert 5e3 <= tau.max() < 5e3 + 1.01e-4 * SHEAR and -5e3 >= tau.min() > -5e3 - 1.01e-4 * SHEAR
+    turns = np.count_nonzero(np.diff(np.sign(np.diff(tau))))
+    assert turns == 6 and abs(tau[-1]) <= 1.01e-4 * SHEAR
+    states = list(cyclic_shear(servo(), 3, stress=1e9, step=1e-3, largest=0.02))
+    assert 0.02 < states[-1].shear_strain < 0.0211
+    for both in ({}, {"amplitude": 1e-3, "stress": 1e3}):
+        with pytest.raises(ValueError, match="not both"):
+            next(cyclic_shear(servo(), 3, **both))
+
+
+@pytest.mark.parametrize("b", [0.0, 0.4, 1.0])
+def test_true_triaxial_compression_keeps_pressure_and_b(b):
+    for state in true_triaxial(servo(3), 0.01, b, 2e-3):
+        x, y, z = -np.diag(state.stress)
+        assert (x + y + z) / 3 == pytest.approx(CONFINING, abs=1.0)
+        assert (y - x) / (z - x) == pytest.approx(b, abs=1e-3)
+
+
+def test_true_triaxial_compression_needs_spheres_and_a_possible_b():
+    with pytest.raises(ValueError, match="needs spheres"):
+        next(true_triaxial(servo(2), 0.01, 0.5))
+    with pytest.raises(ValueError, match="b must be in"):
+        next(true_triaxial(servo(3), 0.01, 1.5))
+
+
+def test_a_path_of_strain_and_stress_goes_in_straight_lines(tmp_path):
+    path = tmp_path / "path.csv"
+    path.write_text("stress_xx_Pa,strain_yy,stress_yy_Pa,increments\n1e5,0.002,,4\n2e5,,2e5,5\n")
+    states = list(along(servo(), read_path(path, 2)))
+    assert [s.axial_strain for s in states[:4]] == pytest.approx([5e-4, 1e-3, 1.5e-3, 2e-3])
+    assert all(s.stress[0, 0] == pytest.approx(-1e5, abs=1.0) for s in states[:4])
+    sideways = [-s.stress[0, 0] for s in states[4:]]
+    assert sideways == pytest.approx([1.2e5, 1.4e5, 1.6e5, 1.8e5, 2e5], abs=2.0)
+    top = -states[3].stress[1, 1]
+    assert -states[6].stress[1, 1] == pytest.approx(top + 0.6 * (2e5 - top), abs=2.0)
+    assert all(s.deformation[0, 1] == 0 for s in states)
+
+
+# A packing that liquefies, and one that does not (Guo-Zhao section 5)
+
+
+def constant_volume_point(packing) -> Servo:
+    return Servo(HomogenisedLaw(packing, 1, PRESETS["balanced"]), 300.0)
+
+
+def test_a_loose_packing_loses_its_effective_stress_in_cyclic_shear_of_one_percent():
+    """Guo-Zhao section 5.1: e = 0.223; 8.6 kPa of 100 are left after 12 cycles."""
+    packing = packing_of_void_ratio(0.223, seed=3)
+    assert packing.void_ratio == pytest.approx(0.223, abs=2e-3)
+    states = list(cyclic_shear(constant_volume_point(packing), 25, amplitude=0.01))
+    pressure = np.array([s.pressure for s in states])
+    shear = np.abs([s.stress[0, 1] for s in states])
+    cycle = 80  # increments
+    assert pressure[cycle - 1] > 7e4  # not at once, but cycle by cycle
+    assert pressure[2 * cycle - 1] < pressure[cycle - 1]
+    assert pressure[-1] < 1e3 and len(states) < 25 * cycle
+    assert shear[:cycle].max() > 1.5e4 and shear[-1] < 1e3
+    assert all(abs(s.volumetric_strain) < 1e-9 for s in states)
+
+
+def test_a_denser_packing_under_cyclic_stress_is_mobile_but_keeps_its_strength():
+    """Guo-Zhao section 5.2: e = 0.209, 30 kPa; gamma grows to 5 % in 13 cycles."""
+    limit, packing = 3e4, packing_of_void_ratio(0.209, seed=5)
+    assert packing.void_ratio == pytest.approx(0.209, abs=2e-3)
+    test = cyclic_shear(constant_volume_point(packing), 40, stress=limit, largest=0.06)
+    states = list(test)
+    gamma = np.array([s.shear_strain for s in states])
+    tau = np.array([s.stress[0, 1] for s in states])
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(gamma)))) + 1
+    size = np.abs(gamma[turns])
+    assert (np.abs(tau[turns]) >= limit).all() and len(turns) > 6
+    assert size[:2].max() < 0.02  # stiff in the first cycle,
+    assert np.abs(gamma).max() > 0.05  # mobile in the end:
+    assert size[-1] > 2 * size[0]  # a cycle goes further and further
+    pressure = np.array([s.pressure for s in states])
+    assert pressure.min() < 6e4  # of 100 kPa, lost between the ends of the cycles
+    assert pressure[turns[-2:]].max() > 6e4  # and regained there

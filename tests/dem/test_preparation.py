@@ -5,8 +5,16 @@ import pytest
 
 from femxdem_fenicsx.dem import preparation
 from femxdem_fenicsx.dem.contacts import LinearContact
+from femxdem_fenicsx.dem.grain_sizes import SieveCurve
 from femxdem_fenicsx.dem.homogenisation import coordination_number, stress, touching
-from femxdem_fenicsx.dem.preparation import packing_of_void_ratio, random_packing
+from femxdem_fenicsx.dem.packing import PackingBatch
+from femxdem_fenicsx.dem.preparation import (
+    DENSITIES,
+    NotReached,
+    library,
+    packing_of_void_ratio,
+    random_packing,
+)
 
 PRESSURE = 1e5
 
@@ -122,3 +130,50 @@ def test_unequal_stresses_are_reached_axis_by_axis():
 def test_a_pressure_that_is_none_is_refused(pressure):
     with pytest.raises(ValueError, match="pressure"):
         random_packing(100, pressure=pressure)
+
+
+def test_a_sieve_curve_gives_the_sizes_of_a_packing():
+    curve = SieveCurve((6e-3, 8e-3, 14e-3), (0.0, 0.4, 1.0))
+    packing = random_packing(100, curve, seed=2)
+    np.testing.assert_allclose(np.diag(stress(packing)), -1e5, rtol=1.1e-3)
+    volume = packing.grain_volumes
+    assert volume[packing.radii < 4e-3].sum() / volume.sum() == pytest.approx(0.4, abs=0.04)
+
+
+def test_density_classes_come_in_their_order(dense):
+    voids = [
+        random_packing(compaction_friction=DENSITIES[name]).void_ratio
+        for name in ("medium", "loose")
+    ]
+    assert DENSITIES["dense"] == 0.0
+    assert dense.void_ratio + 0.02 < voids[0] < voids[1] - 0.01
+    assert 0.195 < voids[0] < 0.217 and 0.22 < voids[1] < 0.24
+
+
+def test_a_library_is_one_set_of_grains_at_different_places():
+    first, second, third = library(3, seed=5, grains=64)
+    batch = PackingBatch.of(first, 3)
+    for b, packing in enumerate((first, second, third)):
+        np.testing.assert_array_equal(packing.radii, first.radii)
+        np.testing.assert_allclose(np.diag(stress(packing)), -1e5, rtol=1.1e-3)
+        batch.put(b, packing)
+    assert len({packing.void_ratio for packing in (first, second, third)}) == 3
+    with pytest.raises(ValueError, match="1 packing or more"):
+        next(library(0))
+
+
+def test_stresses_that_grains_cannot_bear_end_with_the_state_that_was_reached():
+    with pytest.raises(NotReached, match="flattened: the grains cannot bear") as error:
+        random_packing(64, pressure=(1e5, 2e6))
+    assert error.value.packing.size == 64
+    assert error.value.packing.box[1, 1] < error.value.packing.box[0, 0]
+    assert "\n" not in str(error.value)
+
+
+def test_a_void_ratio_out_of_reach_keeps_the_packing_that_came_closest():
+    with pytest.raises(NotReached) as error:
+        packing_of_void_ratio(0.1, grains=64)
+    kept = error.value.packing
+    assert kept.void_ratio < 0.2 and f"{kept.void_ratio:.4f} at best" in str(error.value)
+    with pytest.raises(ValueError, match="void ratio"):
+        packing_of_void_ratio(float("nan"))

@@ -18,6 +18,7 @@ import pytest
 from femxdem_fenicsx.dem.accuracy import PRESETS
 from femxdem_fenicsx.dem.element_tests import drained_biaxial
 from femxdem_fenicsx.dem.files import load_packing
+from femxdem_fenicsx.dem.preparation import random_packing
 from femxdem_fenicsx.homogenised_law import HomogenisedLaw
 from tests.mpi import ROOT, run_on_ranks
 from tests.reference import DATA, reference_packing
@@ -168,7 +169,9 @@ def test_one_and_two_ranks_give_the_same_history(tmp_path):
 def test_a_run_that_is_stopped_and_resumed_gives_the_bits_of_one_that_is_not(tmp_path):
     arguments = (
         "--grains", 64, "--seed", 5, "--mesh", 1, 2, "--accuracy", "fast", "--quiet",
+        "--checkpoint-every", 1,
     )  # fmt: skip
+    compile_kernels()
     whole, stopped = tmp_path / "whole", tmp_path / "stopped"
     result = run(*arguments, "--strain", 0.005, "--output", whole)
     assert result.returncode == 0, result.stderr
@@ -195,6 +198,12 @@ def test_a_run_that_is_stopped_and_resumed_gives_the_bits_of_one_that_is_not(tmp
             np.testing.assert_array_equal(second[name][:same], first[name][:same], err_msg=name)
 
 
+def compile_kernels() -> None:
+    """A process that compiles them gets other last bits than one that finds them compiled."""
+    packing = random_packing(64, seed=4)
+    HomogenisedLaw(packing, 1, PRESETS["fast"]).evaluate(np.eye(2)[None])
+
+
 # Bad input
 
 
@@ -216,7 +225,7 @@ SECOND = ("--gradient", "second", "--second-gradient-modulus")
 
 #: What is asked for -> what the one line must name.
 BAD_INPUT = {
-    "unknown operator": (("--operator", "XYZ"), "unknown operator 'XYZ'; choose from UKO, CTO"),
+    "unknown operator": (("--operator", "XYZ"), "unknown operator 'XYZ'; choose from CTO, AEO"),
     "unknown element": (("--element", "Q27"), "Q27"),
     "unknown formulation": (("--formulation", "large"), "unknown formulation 'large'"),
     "unknown accuracy": (("--accuracy", "exact"), "unknown accuracy preset 'exact'"),
@@ -291,3 +300,40 @@ def test_two_ranks_with_bad_input_say_one_line_and_end(tmp_path, arguments):
     assert len(errors) == 1, result.stderr
     assert "Traceback" not in result.stderr
     assert not list(tmp_path.glob("results/*"))
+
+
+# Contact laws
+
+
+def test_a_specimen_of_cemented_hertz_mindlin_grains_is_compressed(tmp_path):
+    result = run(
+        "--contact-law", "hertz", "--rolling-friction", 0.1, "--bonds", 300, 300, "--cohesion", 0.1,
+        "--grains", 100, "--mesh", 1, 1, "--strain", 0.004, "--output", tmp_path, "--quiet",
+        timeout=400,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    rows = history(tmp_path)
+    assert (np.diff(rows["stress_ratio"]) > 0).all() and rows["converged"].all()
+    stored = load_packing(tmp_path / "packing_in.h5")
+    assert type(stored.law).__name__ == "HertzMindlin"
+    assert stored.bonded.any() and stored.law.bonds == (300, 300)
+    assert stored.law.rolling.friction == 0.1
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (
+            ("--contact-law", "magnetic"),
+            "unknown contact law 'magnetic'; choose from linear, hertz",
+        ),
+        (("--contact-law", "hertz", "--poisson-ratio", 0.7), "poisson_ratio must be in [0, 0.5]"),
+        (("--bonds", 10, -1), "bonds.shear must be zero or positive, got -1"),
+        (("--rolling-friction", 0.1, "--friction", 0), "rolling need friction"),
+    ],
+)
+def test_a_contact_law_that_is_none_is_one_line_and_exit_code_2(tmp_path, options, complaint):
+    result = run(*options, "--output", tmp_path / "out")
+    assert result.returncode == 2
+    assert complaint in result.stderr and result.stderr.count("\n") == 1
+    assert not (tmp_path / "out" / "history.csv").exists()

@@ -1,0 +1,1 @@
+"""Subcommands of `femxdem`, one module each: `add` puts the options into a parser."""
