@@ -30,7 +30,7 @@ from femxdem_fenicsx.fem.stepping import LoadStepping  # noqa: E402
 FULL = [(8, 10.0), (16, 10.0), (32, 10.0), (16, 3.2), (16, 1.0), (32, 1.0),
         (8, None), (16, None), (32, None)]  # fmt: skip
 QUICK = [(8, 10.0), (16, 10.0), (8, None), (16, 1.0), (16, 3.2), (16, None)]
-SCENE = {"--element": "Q8", "--imperfection": 0.01, "--step": 5e-4, "--tolerance": 2e-2,
+SCENE = {"--element": "Q8", "--imperfection": 0.02, "--step": 5e-4, "--tolerance": 2e-2,
          "--looser-tolerance": 0.1, "--max-iterations": 12}  # fmt: skip
 
 

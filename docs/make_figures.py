@@ -219,6 +219,85 @@ def draw_accuracy() -> None:
     figure.savefig(FIGURES / "accuracy.png")
 
 
+# Argilaga's study of the tangent operators
+
+
+def run_operators() -> None:
+    output = python("benchmarks/operators.py", "--quick").splitlines()[-1]
+    rounded = json.loads(output, parse_float=lambda text: float(f"{float(text):.4g}"))
+    (FIGURES / "operators.json").write_text(json.dumps(rounded) + "\n")
+
+
+#: Line styles of the operators by kind: perturbed, affine, elastic.
+KINDS = {
+    "CTO": (THEIRS, "-"), "AEO": (THEIRS, "--"), "UKO": ("0.55", "-"), "UCKO": ("0.55", "--"),
+    "UCKO-2DOF": ("0.55", ":"), "KAO": ("0.25", "-."), "DEMQO": (THIRD, "--"), "PSTLO": (OURS, "-"),
+    "default": (OURS, "-"),
+}  # fmt: skip
+
+
+@matplotlib.rc_context(plotting.STYLE)
+def draw_operators() -> None:
+    study = json.loads((FIGURES / "operators.json").read_text())
+    draw_convergence(study)
+    draw_cost(study)
+    draw_spectra(study)
+
+
+def draw_convergence(study: dict) -> None:
+    """Argilaga's fig. 6."""
+    figure = Figure((7.0, 3.0), layout="constrained")
+    for axes, state in zip(figure.subplots(1, 2, sharey=True), ("start", "after"), strict=True):
+        for name, ratios in study["states"][state]["curves"].items():
+            colour, style = KINDS[name]
+            axes.semilogy(ratios, color=colour, ls=style, label=name)
+        axes.axhline(1e-2, color="0.8", lw=0.8, zorder=0)
+        axes.set_xlabel("iteration")
+        axes.set_title(f"from {100 * study['states'][state]['strain']:g} % strain")
+    figure.axes[0].set_ylabel("FNORM/RNORM")
+    figure.axes[1].legend(fontsize="small", ncols=2)
+    figure.savefig(FIGURES / "operators_convergence.png")
+
+
+def draw_cost(study: dict) -> None:
+    """Argilaga's fig. 7, with evaluations beside iterations."""
+    rows = {name: row for name, row in study["operators"].items() if row["strain_at_end"] > 0.0199}
+    place = np.arange(len(rows))
+    figure = Figure((7.0, 2.8), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for shift, when, label in ((-0.2, "pre", "before the peak"), (0.2, "post", "after it")):
+        values = [row[f"evaluations_{when}"] for row in rows.values()]
+        left.bar(place + shift, values, 0.4, color=OURS if shift < 0 else THEIRS, label=label)
+    left.set_ylabel("evaluations of the law per step")
+    left.legend(fontsize="small")
+    whole = rows["AEO"]["wall_s"] / 100
+    tangents = np.array([row["tangent_s"] for row in rows.values()]) / whole
+    total = np.array([row["wall_s"] for row in rows.values()]) / whole
+    right.bar(place, total - tangents, 0.6, color="0.7", label="evaluations and FEM")
+    right.bar(place, tangents, 0.6, total - tangents, color=THIRD, label="tangents")
+    right.set_ylabel("wall-clock to 2 %, AEO = 100")
+    right.legend(fontsize="small")
+    for axes in (left, right):
+        axes.set_xticks(place, rows, rotation=60, ha="right")
+    figure.savefig(FIGURES / "operators_cost.png")
+
+
+def draw_spectra(study: dict) -> None:
+    """Eigenvalues of K^-1 J; 1 is perfect."""
+    figure = Figure((7.0, 2.8), layout="constrained")
+    for axes, state in zip(figure.subplots(1, 2, sharey=True), ("before", "after"), strict=True):
+        spectra = study["states"][state]["spectra"]
+        for place, (name, (real, _)) in enumerate(spectra.items()):
+            axes.plot(np.full(len(real), place), real, "_", ms=9, color=KINDS[name][0], alpha=0.6)
+        axes.axhline(1.0, color="0.8", lw=0.8, zorder=0)
+        axes.axhline(0.0, color="0.8", lw=0.8, zorder=0)
+        axes.set_ylim(-1.0, 2.0)
+        axes.set_xticks(range(len(spectra)), spectra, rotation=60, ha="right")
+        axes.set_title(f"at {100 * study['states'][state]['strain']:g} % strain")
+    figure.axes[0].set_ylabel("eigenvalues of $K^{-1}J$, real part")
+    figure.savefig(FIGURES / "operators_spectra.png")
+
+
 # The laboratory
 
 
@@ -328,7 +407,8 @@ def draw_friction() -> None:
 
 
 NAMES = (
-    "accuracy", "element_tests", "coupled", "biaxial", "laboratory", "representativity", "friction"
+    "accuracy", "element_tests", "coupled", "biaxial", "operators", "laboratory",
+    "representativity", "friction",
 )  # fmt: skip
 
 

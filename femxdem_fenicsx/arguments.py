@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,10 +32,11 @@ if TYPE_CHECKING:
 GRADIENTS = ("first", "second")
 
 #: What may change when a run is resumed: where it goes, how far, and how it is solved. The packing
-#: is compared by what is in it.
+#: is compared by what is in it, the accuracy by its numbers.
 FREE = (
-    "output", "quiet", "resume", "checkpoint_every", "checkpoint_fails", "threads", "packing",
-    "strain", "step", "tolerance", "displacement_tolerance", "looser_tolerance", "max_iterations",
+    "defaults", "output", "quiet", "resume", "checkpoint_every", "checkpoint_fails", "threads",
+    "packing", "accuracy", "time_step", "strain", "step", "tolerance", "displacement_tolerance",
+    "looser_tolerance", "max_iterations",
 )  # fmt: skip
 
 
@@ -82,6 +84,10 @@ def add_grains(parser: argparse.ArgumentParser, count: int, noun: str) -> argpar
     return grains
 
 
+#: The operators that win, by dimension of the packing (docs/operators.md).
+DEFAULT_OPERATORS = {2: "PSTLO", 3: "UKO"}
+
+
 def add_compression(parser: argparse.ArgumentParser, strain: float) -> None:
     """Lateral pressure, axial strain and step."""
     loading = parser.add_argument_group("loading")
@@ -97,7 +103,10 @@ def add_solution(parser: argparse.ArgumentParser) -> None:
     solution.add_argument(
         "--time-step", type=float, help="share of the stability limit  (default: the preset's)"
     )
-    solution.add_argument("--operator", default="UKO", help=", ".join(OPERATORS))
+    solution.add_argument(
+        "--operator",
+        help=f"{', '.join(OPERATORS)}  (default: PSTLO for disks, UKO for spheres)",
+    )
     solution.add_argument("--tolerance", type=float, default=1e-2, help="FNORM/RNORM")
     solution.add_argument(
         "--displacement-tolerance", type=float, help="on the last correction too (Guo-Zhao: 1e-2)"
@@ -140,7 +149,8 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
     element(args.element, args.points).check_dim(dim)
     _check_gradient(args, dim)
     accuracy_of(args)
-    operator(args.operator)
+    if args.operator is not None:
+        operator(args.operator)
     if not 0 < args.step <= args.strain < 1:
         raise ValueError(
             f"--step {args.step} and --strain {args.strain}: need 0 < step <= strain < 1"
@@ -225,15 +235,26 @@ def saving_of(args: argparse.Namespace, law: HomogenisedLaw | DistributedLaw) ->
         path = Path(folder, "packing.h5")
         save_packing(path, law.response.committed.template)
         packing = path.read_bytes()
-    scene = {name: str(value) for name, value in vars(args).items() if name not in FREE}
+    scene = {name: value for name, value in vars(args).items() if name not in FREE}
+    scene |= {f"accuracy: {name}": value for name, value in asdict(accuracy_of(args)).items()}
+    defaults = {f"accuracy: {field.name}": field.default for field in fields(Accuracy)}
     return Saving(
         checkpoint_folder(args),
-        scene | {"accuracy": str(accuracy_of(args))},
+        _told(scene),
         packing,
+        _told(defaults | getattr(args, "defaults", {})),
         args.checkpoint_every,
         args.resume,
         args.checkpoint_fails == "stop",
     )
+
+
+def _told(values: Mapping[str, object]) -> dict[str, str]:
+    """Values as text; a default tuple is the same as a list that was given."""
+    return {
+        name: str(list(value) if isinstance(value, tuple) else value)
+        for name, value in values.items()
+    }
 
 
 def accuracy_of(args: argparse.Namespace) -> Accuracy:
@@ -247,9 +268,10 @@ def law_for(
 ) -> HomogenisedLaw | DistributedLaw:
     """A copy of the packing at each of the points; on several ranks each has a home rank."""
     threads = script.threads_per_rank(comm) if args.threads is None else args.threads
+    name = args.operator or DEFAULT_OPERATORS[packing.dim]
 
     def make(numbers: np.ndarray) -> HomogenisedLaw:
-        return HomogenisedLaw(packing, len(numbers), accuracy_of(args), args.operator, threads)
+        return HomogenisedLaw(packing, len(numbers), accuracy_of(args), name, threads)
 
     if comm.size == 1:
         return make(points.index)

@@ -18,7 +18,7 @@ import shutil
 import signal
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -27,7 +27,7 @@ import numpy as np
 from mpi4py import MPI
 
 from .collective import together
-from .whole_files import hdf5_bytes, sync_folder, write_synced
+from .writing import hdf5_bytes, sync_folder, write_synced
 
 FORMAT, VERSION = "femxdem checkpoint", 1
 MANIFEST, SUMS = "manifest.h5", "SHA256SUMS"
@@ -70,6 +70,7 @@ class Saving:
     Attributes:
         folder: for its checkpoints alone.
         scene: name -> value of all that a run that goes on with it must share.
+        defaults: of the names in `scene` that an older program may not have known.
         packing: bytes of its packing's file.
         every: load steps between two checkpoints; None: one each `INTERVAL`.
         resume: go on from the last checkpoint in the folder.
@@ -79,6 +80,7 @@ class Saving:
     folder: Path
     scene: Mapping[str, object]
     packing: bytes = b""
+    defaults: Mapping[str, object] = field(default_factory=dict)
     every: int | None = None
     resume: bool = False
     stop_on_failure: bool = False
@@ -291,11 +293,11 @@ class Checkpoint:
             refused.append(f"{path}: {damage}")
         raise ValueError("; ".join(refused))
 
-    def check_scene(self, scene: Mapping[str, object]) -> None:
+    def check_scene(self, saving: Saving) -> None:
         """Raise ValueError, with the first thing that differs, for another scene."""
-        now = json.loads(json.dumps(dict(scene)))
+        now, defaults = (json.loads(json.dumps(dict(m))) for m in (saving.scene, saving.defaults))
         for name in sorted(now.keys() | self.scene.keys()):
-            was, given = self.scene.get(name), now.get(name)
+            was, given = self.scene.get(name, defaults.get(name)), now.get(name)
             if was != given:
                 raise ValueError(
                     f"{self.path}: the checkpoint of another run: {name} was {was}, now it is"

@@ -23,7 +23,7 @@ from .law import Law
 
 #: Steps of a packing's DEM that take as long as sending it to another rank, and as copying one
 #: that stays into new arrays, which is done whenever the rank's packings change (docs/cluster.md).
-STEPS_PER_MOVE, STEPS_PER_STAY = 20.0, 4.0
+STEPS_PER_MOVE, STEPS_PER_STAY = 20.0, 5.0
 #: Evaluations within which a move must pay.
 EVALUATIONS_TO_PAY = 10
 #: A placement stands while the busiest rank has at most this over the mean.
@@ -164,6 +164,7 @@ class DistributedLaw:
         self._settle(place(np.ones(len(everyone)), self._owner, comm.size))
         self.law = together(comm, make, self.numbers)
         self.dim = self.law.dim
+        self._threads = comm.allreduce(self.law.threads, MPI.MIN)  # all must decide the same
         self.balance, self.moved = Balance(1.0, 1.0, 0), 0
 
     def __getattr__(self, name: str):
@@ -215,12 +216,13 @@ class DistributedLaw:
 
     def _rehome(self) -> None:
         """Move packings if the last evaluation says that the next ones gain by it."""
-        ranks = self._comm.size
-        busy = imbalance(np.array(self._comm.allgather(float(self.law.cost.sum()))))
-        new = None
+        ranks, new = self._comm.size, None
+        load = np.empty(ranks, np.int64)
+        self._comm.Allgather(np.array([self.law.cost.sum()], np.int64), load)
+        busy = imbalance(load)
         if busy > IMBALANCE_ALLOWED:
             cost = self._everywhere(self.law.cost)
-            new = better_homes(cost, self._home, ranks, self.law.threads)
+            new = better_homes(cost, self._home, ranks, self._threads)
         if new is None:
             self.balance = Balance(busy, busy, 0)
             return

@@ -115,6 +115,9 @@ class HomogenisedLaw:
     ):
         """The same packing at all `size` points; ValueError for what is not possible."""
         self._operator = operator(operator_name)
+        self._memory = getattr(self._operator, "memory", {})
+        if hasattr(self._operator, "start"):
+            self._operator.start(size, packing.dim)
         self.response = Response(packing, size, accuracy, threads)
         self.dim, self.size = packing.dim, size
         self._identity = np.eye(self.dim)
@@ -179,6 +182,8 @@ class HomogenisedLaw:
         arrays = {name: array for name, array in arrays.items() if array is not None}
         for name, array in response.committed_outcome._asdict().items():
             arrays[f"outcome/{name}"] = array
+        for name, array in self._memory.items():
+            arrays[f"operator/{name}"] = array
         return arrays | {
             "initial_box": self._initial_box,
             "cost": response.cost,
@@ -207,6 +212,8 @@ class HomogenisedLaw:
         self._committed_tally = state.pop("tally")
         self.tally.by_packing = state.pop("tally_with_trials")
         outcome = {name: state.pop(f"outcome/{name}") for name in Outcome._fields}
+        for name in self._memory:
+            self._memory[name] = state.pop(f"operator/{name}")
         self.size = size
         self.response.restore(state, Outcome(**outcome), state.pop("cost"))
         self.discard()

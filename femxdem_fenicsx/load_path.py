@@ -212,7 +212,7 @@ def _saved(
         return None, Position(), []
     comm: MPI.Comm = scene.problem.operator.points.mesh.comm
     saved = Checkpoint.last(comm, saving.folder)
-    saved.check_scene(saving.scene)
+    saved.check_scene(saving)
     position = {f.name: saved.common[f"position/{f.name}"].item() for f in fields(Position)}
     start = Position(**position)
     if not start.load < end:

@@ -67,7 +67,9 @@ def _all_arrive(watch: MPI.Comm) -> bool:
 
 
 def parse(parser: argparse.ArgumentParser, comm: MPI.Comm, arguments: Sequence[str] | None = None):
-    """Parsed arguments; what argparse does not know goes to PETSc. Rank 0 alone prints.
+    """Parsed arguments, and their `defaults` by name; rank 0 alone prints.
+
+    What argparse does not know goes to PETSc.
 
     Raises ValueError for what argparse refuses, and for what PETSc cannot take either.
     """
@@ -77,6 +79,7 @@ def parse(parser: argparse.ArgumentParser, comm: MPI.Comm, arguments: Sequence[s
         silent = nowhere if comm.rank > 0 else None
         with redirect_stdout(silent or sys.stdout), redirect_stderr(silent or sys.stderr):
             known, rest = parser.parse_known_args(arguments)
+    known.defaults = {action.dest: action.default for action in parser._actions}
     petsc_options(rest)
     return known
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import csv
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+
+import h5py
 
 
 @contextmanager
@@ -34,6 +36,40 @@ def write_text(path: str | Path, text: str) -> None:
     """A text file; OSError as above."""
     with aside(path) as beside:
         beside.write_text(text, encoding="utf-8")
+
+
+def write_whole(path: str | Path, data: bytes) -> None:
+    """Bytes that are on disk before the file has its name; OSError as above."""
+    with aside(path) as beside:
+        write_synced(beside, data)
+
+
+def write_synced(path: Path, data: bytes) -> None:
+    """Write a file under its own name and wait until it is on disk."""
+    with open(path, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def sync_folder(folder: Path) -> None:
+    """Wait until the names in a folder are on disk."""
+    number = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(number)
+    finally:
+        os.close(number)
+
+
+def hdf5_bytes(fill: Callable[[h5py.File], None]) -> bytes:
+    """The bytes of an HDF5 file made in memory, which `fill` has filled.
+
+    On a full disk, HDF5 itself fails late and unclearly; a plain write does not.
+    """
+    with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
+        fill(file)
+        file.flush()
+        return file.id.get_file_image()
 
 
 def write_csv(path: str | Path, names: Sequence[str], rows: Sequence[Mapping[str, float]]) -> None:

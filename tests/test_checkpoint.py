@@ -28,6 +28,8 @@ from tests.checkpoint_run import Counting, at_step
 from tests.mpi import ROOT, run_on_ranks
 
 MODULE = "tests.checkpoint_run"
+#: Open MPI then starts no helper beside a process that is alone.
+ALONE = {**os.environ, "OMP_NUM_THREADS": "1", "OMPI_MCA_ess_singleton_isolated": "1"}
 SELF = MPI.COMM_SELF
 END = "end=0.0135"  # with cut steps from 0.012 on
 
@@ -44,10 +46,7 @@ def write(folder: Path, *steps: int, scene=None) -> None:
 
 def specimen(folder: Path, *options: str) -> subprocess.CompletedProcess:
     command = [sys.executable, "-m", MODULE, "specimen", str(folder), *options]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    return subprocess.run(
-        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=60
-    )
+    return subprocess.run(command, cwd=ROOT, env=ALONE, capture_output=True, text=True, timeout=100)
 
 
 def history(folder: Path) -> str:
@@ -64,7 +63,7 @@ def log(folder: Path) -> str:
 def test_a_run_killed_at_thirty_moments_goes_on_from_the_last_that_it_told(tmp_path):
     """Each life checks what it finds: not older than what was told, and right to the last bit."""
     command = [sys.executable, "-m", MODULE, "lives", str(tmp_path / "checkpoint"), "30"]
-    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=100)
+    run = subprocess.run(command, cwd=ROOT, env=ALONE, capture_output=True, text=True, timeout=200)
     assert run.returncode == 0, run.stdout + run.stderr
     told = json.loads(run.stdout)
     assert told["steps"] > 31
@@ -83,7 +82,7 @@ def whole(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    "trouble, code", [("kill=41", -signal.SIGKILL), ("term=41", 128 + signal.SIGTERM)]
+    "trouble, code", [("kill=41", -signal.SIGKILL), ("term=54", 128 + signal.SIGTERM)]
 )
 def test_a_run_that_was_stopped_and_resumed_has_the_same_history_and_fields(
     whole, tmp_path, trouble, code
@@ -254,6 +253,16 @@ def test_another_scene_is_refused_with_what_differs(whole):
     assert history(whole) == before
 
 
+def test_an_option_that_an_older_program_did_not_know_must_have_its_default(tmp_path):
+    write(tmp_path, 3, scene={"mesh": [2, 4]})
+    saved = Checkpoint.last(SELF, tmp_path)
+    scene, defaults = {"mesh": (2, 4), "gradient": "first"}, {"gradient": "first"}
+    saved.check_scene(Saving(tmp_path, scene, defaults=defaults))
+    for other in (scene | {"gradient": "second"}, {"gradient": "first"}):
+        with pytest.raises(ValueError, match="the checkpoint of another run"):
+            saved.check_scene(Saving(tmp_path, other, defaults=defaults))
+
+
 def test_a_run_at_its_end_and_one_without_checkpoint_do_not_go_on(whole, tmp_path):
     run = specimen(whole, END, "--resume")
     assert run.returncode == 2 and "is reached already" in run.stderr
@@ -300,7 +309,7 @@ def test_files_that_may_not_grow_stop_the_checkpoints_and_the_run_if_so_asked(tm
 def test_a_failure_on_one_rank_ends_both_with_its_message(tmp_path, where):
     run = run_on_ranks(2, MODULE, "specimen", str(tmp_path), END, f"{where}=3", timeout=60)
     assert run.returncode != 0
-    told = [line for line in run.stderr.splitlines() if line.startswith("error: ")]
+    told = [line for line in run.stderr.splitlines() if line.strip().startswith("error: ")]
     assert len(told) == 1, run.stderr
     assert f"no room in the {where}" in told[0]
     assert ("on rank 1" in told[0]) == (where != "output")

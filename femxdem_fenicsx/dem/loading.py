@@ -17,6 +17,8 @@ from .stability import stable_time_step
 
 #: Steps of a hold between two looks at its criterion.
 HOLD_BLOCK = 25
+#: A hold counts for the stress from this many times the tolerance down.
+NEARLY_AT_REST = 4.0
 #: Fewest loading steps of an increment that is not zero.
 FEWEST_STEPS = 4
 
@@ -155,6 +157,17 @@ def resume_flow(motion, gradient, flow, flow_gradient):
 
 
 @kernel
+def share_of_look(ratio, tolerance):
+    """Share of the stress that a look at a hold decides: none if far from rest, all if at rest.
+
+    A hold ends after so many blocks, and the stress at the end of the last one jumps where F changes
+    ever so little and their number jumps: by up to 1 %, and Newton finds no balance below that. The
+    stress is hence a mean over the looks since the packing was nearly at rest (docs/operators.md).
+    """
+    return max(1.0 - math.log(max(ratio / tolerance, 1.0)) / math.log(NEARLY_AT_REST), 0.0)
+
+
+@kernel
 def restore(b, state, work):
     """Box, positions and contact history of packing b of a batch; the pair list is out of date."""
     motion, history = work.motion, work.history
@@ -205,6 +218,8 @@ def deform(
         weakest *= loading.mean_diameter
     still = np.zeros_like(F)
     held, ratio, at_rest = 0, 0.0, False
+    measured, left = np.zeros_like(F), 1.0
+    outcome.stress[row] = 0.0
     while not at_rest and held < loading.hold_limit:
         status = dynamics.advance(
             HOLD_BLOCK, time_step, still, loading.hold_damping, material, work
@@ -215,6 +230,15 @@ def deform(
         net, contact = dynamics.unbalance(work)
         ratio = net / max(contact, 1e-3 * weakest)
         at_rest = ratio < loading.tolerance
+        share = left * share_of_look(ratio, loading.tolerance)
+        if held >= loading.hold_limit:
+            share = left
+        if share > 0.0 or at_rest:
+            outcome.contacts[row], outcome.overlap[row] = measure(
+                motion, work.pairs, material, loading.thickness, measured, outcome.fabric[row]
+            )
+            outcome.stress[row] += share * measured
+            left -= share
 
     remember(work.pairs, history)
     count = history.first[-1]
@@ -226,9 +250,6 @@ def deform(
     new[6][place, :count] = history.j[:count]
     new[7][place, :, :count] = history.tangential[:, :count]
     new[8][place, :, :count] = history.memory[:, :count]
-    outcome.contacts[row], outcome.overlap[row] = measure(
-        motion, work.pairs, material, loading.thickness, outcome.stress[row], outcome.fabric[row]
-    )  # fmt: skip
     outcome.loading_steps[row], outcome.hold_steps[row] = steps, held
     outcome.unbalance[row], outcome.at_rest[row] = ratio, at_rest
     return OK

@@ -247,7 +247,9 @@ class Packing:
         )
 
     def but(self, **changes) -> "Packing":
-        """A copy with some attributes changed."""
+        """A copy with some attributes changed; other contacts remember only what is given."""
+        if "contacts" in changes:
+            changes = {"rolling": None, "bonded": None} | changes
         return replace(self, **changes)
 
     def deformed(self, F: np.ndarray) -> "Packing":

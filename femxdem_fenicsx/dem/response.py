@@ -10,9 +10,17 @@ import numpy as np
 
 from .accuracy import PRESETS, Accuracy
 from .contacts import ContactLaw
-from .dynamics import NO_ROOM, OK, Workspace, workspace
+from .dynamics import NO_ROOM, OK, Material, Workspace, workspace
 from .homogenisation import fabric, largest_overlap, stress, touching
-from .loading import Outcome, deform_in_turn, logarithm, pressure_of, settings, shear_of
+from .loading import (
+    Loading,
+    Outcome,
+    deform_in_turn,
+    logarithm,
+    pressure_of,
+    settings,
+    shear_of,
+)
 from .packing import PAIRS_PER_GRAIN, Packing, PackingBatch
 
 #: A packing with more pairs than that per grain has collapsed.
@@ -66,6 +74,7 @@ class Response:
         committed, trial: the two states. latest: the one of the two that was computed last.
         outcome: what was measured at `latest`. committed_outcome: the same at `committed`.
         pressure: (B,) Pa, of the committed state. time_step: (B,) s, longest that is stable there.
+        commits: how often a trial became the state.
     """
 
     def __init__(self, packing: Packing, size: int, accuracy: Accuracy, threads: int = 1):
@@ -97,6 +106,7 @@ class Response:
         self.committed_outcome.overlap[:] = overlap
         self.committed_outcome.at_rest[:] = True
         self._first_overlap = overlap
+        self.commits = 0
         self.cost = np.zeros(size, np.int64)
         self.discard()
 
@@ -117,9 +127,19 @@ class Response:
         self.cost = self.outcome.loading_steps + self.outcome.hold_steps
         return self.outcome
 
-    def probe(self, F: np.ndarray, packings: np.ndarray) -> Outcome:
-        """What packings (n,) would answer to F (n, d, d); the trial state stays as it is."""
-        return self._run(F, packings, None)
+    def probe(
+        self,
+        F: np.ndarray,
+        packings: np.ndarray,
+        start: PackingBatch | None = None,
+        material: Material | None = None,
+        loading: Loading | None = None,
+    ) -> Outcome:
+        """What packings (n,) would answer to F (n, d, d); the trial state stays as it is.
+
+        From the committed state and as `deform` would, unless told otherwise.
+        """
+        return self._run(F, packings, None, start, material, loading)
 
     def commit(self) -> None:
         """The trial state becomes the state; without a trial nothing changes."""
@@ -127,6 +147,7 @@ class Response:
             self.committed, self.trial = self.trial, self.committed
             self.committed.reduce_boxes()
             self.committed_outcome = self.outcome
+            self.commits += 1
         self.discard()
 
     def discard(self) -> None:
@@ -157,10 +178,12 @@ class Response:
         self.committed_outcome, self.cost = outcome, cost
         self.discard()
 
-    def _run(self, F, packings, new) -> Outcome:
+    def _run(self, F, packings, new, start=None, material=None, loading=None) -> Outcome:
+        start = start or self.committed
+        material, loading = material or self.material, loading or self.loading
         F = np.ascontiguousarray(F, dtype=np.float64)
         log_F = logarithm(F)
-        self._check_room(F @ self.committed.box[packings], packings)
+        self._check_room(F @ start.box[packings], packings)
         shear = shear_of(log_F)
         outcome = Outcome.of(len(packings), self.committed.template.dim)
         places = np.zeros_like(packings) if new is None else packings
@@ -173,7 +196,7 @@ class Response:
                 space, target = self._take_workspace(), self._take_state() if new is None else new
                 deform_in_turn(
                     tickets, waiting, packings, places, F, log_F, shear, self.pressure,
-                    self.time_step, self.material, self.loading, self.committed.state, target,
+                    self.time_step, material, loading, start.state, target,
                     outcome, status, space,
                 )  # fmt: skip
                 self._spaces.append(space)
@@ -276,7 +299,7 @@ class Response:
                 return work
         viscous = self.material.viscosity is not None
         packing = self.committed.template
-        memory = len(self.committed.memory[0]) if self.size else 0
+        memory = self.committed.memory.shape[1]
         return workspace(packing.size, packing.dim, self._capacity, viscous, memory)
 
     def _make_more_room(self, name: str, capacity: int) -> None:

@@ -1,8 +1,9 @@
-"""Anderson acceleration on one factorised Jacobian per load step, as a type of PETSc's SNES.
+"""Anderson acceleration on a factorised Jacobian that is kept, as a type of PETSc's SNES.
 
 PETSc has the parts, but its Anderson takes two residuals an iteration when it is preconditioned
-by a linear solve, and here a residual is a law evaluation. This one takes one. It is SNES in all
-else: monitors, convergence test, options; any other type can be chosen on the command line.
+by a linear solve, and here a residual is a law evaluation. This one takes one. And it learns across
+solves: matrix and differences stay from load step to load step as long as they serve. It is SNES
+in all else: monitors, convergence test, options; any other type can be chosen on the command line.
 """
 
 from __future__ import annotations
@@ -14,58 +15,87 @@ from petsc4py import PETSc
 class Anderson:
     """What SNES calls for ``-snes_type python`` with this class as ``-snes_python_type``.
 
-    With g(x) = -K^-1 F(x), K the Jacobian at the first guess, and the last differences dX of
+    With g(x) = -K^-1 F(x), K a Jacobian computed some time ago, and the last differences dX of
     iterates and dG of their g, the next iterate is x + beta g - (dX + beta dG) gamma, where gamma
-    minimises |g - dG gamma| (Walker and Ni 2011).
+    minimises |g - dG gamma| (Walker and Ni 2011). K is computed anew, and the differences start
+    anew, where an iteration reduces |F| by too little, though not again within `PATIENCE` ones.
 
-    Options: ``-snes_anderson_m`` (5), the number of differences kept; ``-snes_anderson_beta`` (1).
+    Options: ``-snes_anderson_m`` (5), the number of differences kept; ``-snes_anderson_beta`` (1);
+    ``-snes_anderson_slow`` (0.7), the reduction of |F| from which on K is computed anew, 0 for
+    once in every solve.
     """
 
     SMALLEST_SINGULAR_VALUE = 1e-3  # relative; below it, differences of g are noise
+    PATIENCE = 5  # iterations
 
     def __init__(self):
-        self.m, self.beta = 5, 1.0
+        self.m, self.beta, self.slow = 5, 1.0, 0.7
+        self.forget()
+
+    def forget(self) -> None:
+        """Start anew: compute K at the next iterate, know no differences."""
+        self._factorised = False
+        self._differences: list[tuple[PETSc.Vec, PETSc.Vec]] = []
 
     def setFromOptions(self, snes: PETSc.SNES) -> None:
         options = PETSc.Options(snes.getOptionsPrefix())
         self.m = options.getInt("snes_anderson_m", self.m)
         self.beta = options.getReal("snes_anderson_beta", self.beta)
+        self.slow = options.getReal("snes_anderson_slow", self.slow)
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
-        f, g = snes.getFunction()[0], x.duplicate()
+        f = snes.getFunction()[0]
         if self._stops(snes, 0, x, f, step=0.0):
             return
-        ksp = snes.getKSP()
-        jacobian, preconditioner = snes.getJacobian()[:2]
-        snes.computeJacobian(x, jacobian, preconditioner)
-        ksp.setOperators(jacobian, preconditioner)
-        history: list[tuple[PETSc.Vec, PETSc.Vec]] = []
+        if self.slow == 0.0:
+            self.forget()
+        self._iterate(snes, x, f)
+        if snes.getConvergedReason() < 0:
+            self.forget()
+
+    def _iterate(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
+        before, g, norm, age = None, x.duplicate(), f.norm(), self.PATIENCE
         for iteration in range(1, snes.getTolerances()[3] + 1):
-            ksp.solve(f, g)
-            if ksp.getConvergedReason() < 0:
-                ksp.reset()  # or MUMPS goes on with the failed factors
+            if not self._factorised:
+                self._factorise(snes, x)
+                before, age = None, 0
+            snes.getKSP().solve(f, g)
+            if snes.getKSP().getConvergedReason() < 0:
+                snes.getKSP().reset()  # or MUMPS goes on with the failed factors
                 snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE)
                 return
             g.scale(-1.0)
-            history.append((x.copy(), g.copy()))
-            del history[: -self.m - 1]
-            update = self._update(history)
+            if before is not None:
+                self._differences.append((x - before[0], g - before[1]))
+                del self._differences[: -self.m]
+            before = x.copy(), g.copy()
+            update = self._update(g)
             x.axpy(1.0, update)
             if self._stops(snes, iteration, x, f, step=update.norm()):
                 return
+            last, norm, age = norm, f.norm(), age + 1
+            if 0.0 < self.slow * last < norm and age >= self.PATIENCE:
+                self.forget()
         snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT)
 
-    def _update(self, history: list[tuple[PETSc.Vec, PETSc.Vec]]) -> PETSc.Vec:
-        x, g = history[-1]
+    def _factorise(self, snes: PETSc.SNES, x: PETSc.Vec) -> None:
+        """Compute K at x; the KSP factorises it at the next solve."""
+        jacobian, preconditioner = snes.getJacobian()[:2]
+        snes.computeJacobian(x, jacobian, preconditioner)
+        snes.getKSP().setOperators(jacobian, preconditioner)
+        self._factorised = True
+
+    def _update(self, g: PETSc.Vec) -> PETSc.Vec:
         update = g.copy()
         update.scale(self.beta)
-        differences = [(x - old_x, g - old_g) for old_x, old_g in history[:-1]]
-        if differences:
-            gram = np.array([[p.dot(q) for _, q in differences] for _, p in differences])
-            right = np.array([p.dot(g) for _, p in differences])
+        if self._differences:
+            gram = np.array(
+                [[p.dot(q) for _, q in self._differences] for _, p in self._differences]
+            )
+            right = np.array([p.dot(g) for _, p in self._differences])
             smallest = self.SMALLEST_SINGULAR_VALUE**2
             gamma = np.linalg.lstsq(gram, right, rcond=smallest)[0]
-            for weight, (dx, dg) in zip(gamma, differences, strict=True):
+            for weight, (dx, dg) in zip(gamma, self._differences, strict=True):
                 update.axpy(-weight, dx)
                 update.axpy(-weight * self.beta, dg)
         return update

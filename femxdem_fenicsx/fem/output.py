@@ -15,7 +15,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from ..collective import together
-from ..whole_files import hdf5_bytes, write_whole
+from ..writing import hdf5_bytes, write_whole
 from . import _dolfinx
 from .quadrature_points import QuadraturePoints
 

@@ -290,3 +290,40 @@ def test_two_ranks_with_bad_input_say_one_line_and_end(tmp_path, arguments):
     assert len(errors) == 1, result.stderr
     assert "Traceback" not in result.stderr
     assert not list(tmp_path.glob("results/*"))
+
+
+# Contact laws
+
+
+def test_a_specimen_of_cemented_hertz_mindlin_grains_is_compressed(tmp_path):
+    result = run(
+        "--contact-law", "hertz", "--rolling-friction", 0.1, "--bonds", 300, 300, "--cohesion", 0.1,
+        "--grains", 100, "--mesh", 1, 1, "--strain", 0.004, "--output", tmp_path, "--quiet",
+        timeout=400,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    rows = history(tmp_path)
+    assert (np.diff(rows["stress_ratio"]) > 0).all() and rows["converged"].all()
+    stored = load_packing(tmp_path / "packing.h5")
+    assert type(stored.law).__name__ == "HertzMindlin"
+    assert stored.bonded.all() and stored.law.bonds == (300, 300)
+    assert stored.law.rolling.friction == 0.1
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (
+            ("--contact-law", "magnetic"),
+            "unknown contact law 'magnetic'; choose from linear, hertz",
+        ),
+        (("--contact-law", "hertz", "--poisson-ratio", 0.7), "poisson_ratio must be in [0, 0.5]"),
+        (("--bonds", 10, -1), "bonds.shear must be zero or positive, got -1"),
+        (("--rolling-friction", 0.1, "--friction", 0), "rolling need friction"),
+    ],
+)
+def test_a_contact_law_that_is_none_is_one_line_and_exit_code_2(tmp_path, options, complaint):
+    result = run(*options, "--output", tmp_path / "out")
+    assert result.returncode == 2
+    assert complaint in result.stderr and result.stderr.count("\n") == 1
+    assert not (tmp_path / "out" / "history.csv").exists()

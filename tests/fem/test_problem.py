@@ -5,7 +5,7 @@ import pytest
 from petsc4py import PETSc
 
 from femxdem_fenicsx.fem.options import petsc_options as pass_on
-from femxdem_fenicsx.fem.problem import Convergence
+from femxdem_fenicsx.fem.problem import Convergence, Problem
 from femxdem_fenicsx.law import InadmissibleDeformation, LinearElastic, NeoHookean
 from tests.fem.laws import Counting, Failing, Fragile, Noisy, NoStiffness, NoTangent, TooStiff
 from tests.fem.specimen import Specimen
@@ -15,7 +15,7 @@ def counting(**options) -> Specimen:
     return Specimen(lambda points: Counting(points.size), rough=True, **options)
 
 
-def test_each_iterate_is_evaluated_once_and_the_tangent_once_per_step():
+def test_each_iterate_is_evaluated_once_and_the_tangent_only_while_the_last_one_does_not_serve():
     specimen = counting()
     for step, from_zero in enumerate((1, 0)):  # only the first guess of the first step costs more
         specimen.compress(0.05 * step, 0.05 * (step + 1))
@@ -23,10 +23,83 @@ def test_each_iterate_is_evaluated_once_and_the_tangent_once_per_step():
         solution = specimen.problem.solve()
         assert solution.evaluations == specimen.law.evaluations - before[0]
         assert solution.evaluations == solution.iterations + 1 + from_zero
-        assert specimen.law.tangents - before[1] == 1 + from_zero
+        assert specimen.law.tangents - before[1] == 2 * from_zero  # at u = 0, at the first guess
         specimen.problem.accept()
         assert specimen.law.evaluations == before[0] + solution.evaluations
     assert specimen.operator.evaluations == specimen.law.evaluations
+
+
+def test_the_jacobian_is_computed_anew_where_an_iteration_gains_too_little(petsc_options):
+    tangents = {}
+    for slow in (0.7, 1e-3, 0.0):
+        petsc_options(f"-femxdem_snes_anderson_slow {slow}")
+        specimen = counting()
+        for step in range(4):
+            specimen.compress(0.05 * step, 0.05 * (step + 1))
+            assert specimen.problem.solve().converged
+            specimen.problem.accept()
+        tangents[slow] = specimen.law.tangents
+    assert tangents[0.7] == 2
+    assert tangents[0.0] == 1 + 4
+    assert tangents[1e-3] > 2
+
+
+@pytest.mark.parametrize("forgets", [False, True])
+def test_a_solver_that_forgets_computes_its_jacobian_anew(forgets):
+    specimen = counting()
+    for step in range(3):
+        specimen.compress(0.05 * step, 0.05 * (step + 1))
+        if forgets and step == 2:
+            specimen.problem.forget()
+        specimen.problem.solve()
+        specimen.problem.accept()
+    assert specimen.law.tangents == 2 + forgets
+
+
+def test_the_first_guess_takes_away_what_the_last_step_left_out_of_balance():
+    specimens = [counting(tolerance=tolerance) for tolerance in (1e-10, 0.3)]
+    left = []
+    for specimen in specimens:
+        specimen.compress(0.0, 0.02)
+        assert specimen.problem.solve().converged
+        specimen.problem.accept()
+        left.append(specimen.problem._left_over())
+    assert np.linalg.norm(left[0]) < 1e-6 * np.linalg.norm(left[1])
+
+
+def test_the_first_guess_by_the_tangent_costs_an_evaluation_in_the_first_step_alone():
+    specimen = counting()
+    specimen.problem.first_guess = "tangent"
+    for step in range(3):
+        specimen.compress(0.01 * step, 0.01 * (step + 1))
+        solution = specimen.problem.solve()
+        assert solution.converged
+        assert solution.evaluations == solution.iterations + 1 + (step == 0)
+        specimen.problem.accept()
+
+
+def test_an_unknown_first_guess_is_answered_with_the_known_ones():
+    problem = counting().problem
+    arguments = problem.u, None, None, problem.operator, []
+    with pytest.raises(ValueError, match="'best'; choose from increment, tangent"):
+        Problem(*arguments, first_guess="best")
+
+
+@pytest.mark.parametrize("formulation", ["small", "finite"])
+def test_newton_with_the_exact_tangent_is_quadratic(formulation, petsc_options):
+    petsc_options("-femxdem_snes_type newtonls")
+    specimen = Specimen(
+        lambda points: NeoHookean(points.size, 100.0, 0.3),
+        formulation=formulation, rough=True, tolerance=1e-12,
+    )  # fmt: skip
+    specimen.problem.first_guess = "tangent"
+    norms = []
+    specimen.problem.snes.setMonitor(lambda snes, iteration, norm: norms.append(norm))
+    specimen.compress(0.0, 0.1)
+    assert specimen.problem.solve().converged
+    digits = -np.log(np.array([norm for norm in norms if norm > 1e-9 * norms[0]]) / norms[0])
+    orders = np.diff(digits)[1:] / np.diff(digits)[:-1]
+    assert len(orders) >= 1 and orders[-1] > 1.7, (norms, orders)
 
 
 def test_snes_asking_again_at_the_same_point_costs_nothing():

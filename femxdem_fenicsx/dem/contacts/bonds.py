@@ -8,7 +8,7 @@ class Bonds(NamedTuple):
 
     A bonded contact pulls as it would push, f_n(-u) = -f_n(u). It breaks where its tension exceeds
     `tension` or its tangential force the sum of `shear` and Coulomb's limit, and is an ordinary
-    contact ever after (Bourrier et al., Granular Matter 15 (2013) 775-790: brittle cohesion).
+    contact ever after (Bourrier et al., Ecol. Engng 61 (2013) 646-657: brittle cohesion).
     """
 
     tension: float  # N
