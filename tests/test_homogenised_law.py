@@ -98,7 +98,7 @@ def test_an_F_of_another_shape_is_a_mistake_of_the_program(packing, shape):
 
 
 def test_an_unknown_operator_is_answered_with_the_known_ones(packing):
-    with pytest.raises(ValueError, match=r"'XYZ'.*UKO, CTO"):
+    with pytest.raises(ValueError, match=r"'XYZ'.*CTO, AEO, UKO"):
         HomogenisedLaw(packing, SIZE, FAST, "XYZ")
 
 
