@@ -179,17 +179,16 @@ def calibrate(
         raise ValueError(
             f"calibration starts with a positive modulus and a friction in {FRICTIONS}, got {start}"
         )
-    centre = np.log([modulus, friction])
-    low = np.log([modulus / RANGE, FRICTIONS[0]])
-    high = np.log([modulus * RANGE, FRICTIONS[1]])
+    low = np.log([1 / RANGE, FRICTIONS[0] / friction])  # over the start, as all places
+    high = np.log([RANGE, FRICTIONS[1] / friction])
     places, errors, answers = [], [], []
     neighbours = STEP * np.array([[0, 0], [1, 0], [0, 1], [-1, -1]])
     for number in range(max(most, len(neighbours))):
         if number < len(neighbours):
-            place = np.clip(centre + neighbours[number], low, high)
+            place = np.clip(neighbours[number], low, high)
         else:
             place = _next(np.array(places), np.array(errors), low, high)
-        answers.append(answer(*(float(value) for value in np.exp(place))))
+        answers.append(answer(*(float(value) for value in start * np.exp(place))))
         progress(answers[-1])
         places.append(place)
         errors.append(_errors(answers[-1], target, tolerance))

@@ -70,7 +70,8 @@ class Saving:
     Attributes:
         folder: for its checkpoints alone.
         scene: name -> value of all that a run that goes on with it must share.
-        defaults: of the names in `scene` that an older program may not have known.
+        defaults: of the names in `scene` that an older program may not have known, and of others,
+            which may differ.
         packing: bytes of its packing's file.
         every: load steps between two checkpoints; None: one each `INTERVAL`.
         resume: go on from the last checkpoint in the folder.
@@ -296,7 +297,8 @@ class Checkpoint:
     def check_scene(self, saving: Saving) -> None:
         """Raise ValueError, with the first thing that differs, for another scene."""
         now, defaults = (json.loads(json.dumps(dict(m))) for m in (saving.scene, saving.defaults))
-        for name in sorted(now.keys() | self.scene.keys()):
+        free = defaults.keys() - now.keys()  # known here, but not to be shared (any more)
+        for name in sorted((now.keys() | self.scene.keys()) - free):
             was, given = self.scene.get(name, defaults.get(name)), now.get(name)
             if was != given:
                 raise ValueError(

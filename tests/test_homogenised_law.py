@@ -98,7 +98,7 @@ def test_an_F_of_another_shape_is_a_mistake_of_the_program(packing, shape):
 
 
 def test_an_unknown_operator_is_answered_with_the_known_ones(packing):
-    with pytest.raises(ValueError, match=r"'XYZ'.*UKO, CTO"):
+    with pytest.raises(ValueError, match=r"'XYZ'.*CTO, AEO, UKO"):
         HomogenisedLaw(packing, SIZE, FAST, "XYZ")
 
 
@@ -131,7 +131,8 @@ def test_measures_are_those_of_the_committed_packings(packing):
         one = law.packing(b)
         contacts = touching(one)
         scale = np.abs(law.stress[b]).max()
-        np.testing.assert_allclose(law.stress[b], stress_of(one), atol=1e-9 * scale)
+        # a mean over the looks since it was nearly at rest (`loading.share_of_look`)
+        np.testing.assert_allclose(law.stress[b], stress_of(one), atol=2e-3 * scale)
         assert law.void_ratio[b] == pytest.approx(one.void_ratio)
         assert law.coordination_number[b] == coordination_number(one)
         assert law.fabric_anisotropy[b] == pytest.approx(anisotropy_of(fabric(contacts)))

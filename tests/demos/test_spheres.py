@@ -74,11 +74,12 @@ def test_the_triaxial_test_leaves_its_files(single_element):
 def fields(path: Path) -> dict[str, np.ndarray]:
     """The attributes of the last step."""
     last = ElementTree.parse(path).getroot().findall("Domain/Grid/Grid")[-1]
-    with h5py.File(path.with_suffix(".h5")) as file:
-        return {
-            a.get("Name"): file[a.find("DataItem").text.split(":")[-1].strip()][()]
-            for a in last.findall("Attribute")
-        }
+    found = {}
+    for attribute in last.findall("Attribute"):
+        file, dataset = attribute.find("DataItem").text.strip().split(":")
+        with h5py.File(path.parent / file) as opened:
+            found[attribute.get("Name")] = opened[dataset][()]
+    return found
 
 
 def test_one_and_two_ranks_give_the_same_triaxial_test(tmp_path):
