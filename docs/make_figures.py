@@ -264,32 +264,6 @@ def draw_second_gradient() -> None:
     figure.savefig(FIGURES / "second_gradient.png")
 
 
-def run_mesh_independence() -> None:
-    output = python("benchmarks/mesh_independence.py", "--quick").splitlines()[-1]
-    (FIGURES / "mesh_independence.json").write_text(json.dumps(json.loads(output), indent=1) + "\n")
-
-
-@matplotlib.rc_context(plotting.STYLE)
-def draw_mesh_independence() -> None:
-    runs = json.loads((FIGURES / "mesh_independence.json").read_text())["runs"]
-    figure = Figure((3.5, 2.6), layout="constrained")
-    axes = figure.subplots()
-    for elements, marker in ((128, "s"), (512, "o"), (2048, "^")):
-        found = [
-            (run["D"], 1e3 * run["band_width"])
-            for run in runs
-            if run["D"] and run["band_width"] and run["elements"] == elements
-        ]
-        if found:
-            axes.loglog(
-                *zip(*sorted(found), strict=True), marker, color=OURS, label=f"{elements} elements"
-            )
-    axes.set_xlabel("D (N)")
-    axes.set_ylabel("width of the band (mm)")
-    axes.legend()
-    figure.savefig(FIGURES / "mesh_independence.png")
-
-
 # Argilaga's study of the tangent operators
 
 
@@ -480,7 +454,7 @@ def draw_friction() -> None:
 
 NAMES = (
     "accuracy", "element_tests", "coupled", "biaxial", "operators", "laboratory",
-    "representativity", "friction", "second_gradient", "mesh_independence",
+    "representativity", "friction", "second_gradient",
 )  # fmt: skip
 
 
