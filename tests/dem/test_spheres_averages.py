@@ -242,7 +242,8 @@ def test_without_dissipation_the_work_done_on_a_packing_is_the_energy_it_stores(
     packing = packing.but(
         law=LinearContact(modulus=6e8, friction=0.0), contacts=np.zeros((0, 2)), tangential=[]
     )
-    work, stored = balance(packing, np.eye(dim) * (1 - 4e-5), 10)
+    # small: sooner or later a smooth packing rearranges, which dissipates
+    work, stored = balance(packing, np.eye(dim) * (1 - 1e-5), 5)
     assert work > 0
     assert stored == pytest.approx(work, rel=1e-2)
 
