@@ -72,9 +72,9 @@ def test_a_run_killed_at_thirty_moments_goes_on_from_the_last_that_it_told(tmp_p
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """Folder of a run that nothing has stopped."""
+    """Folder of a run that nothing has stopped, with a checkpoint at its end alone."""
     folder = tmp_path_factory.mktemp("whole")
-    run = specimen(folder, END)
+    run = specimen(folder, END, "every=1000")
     assert run.returncode == 0, run.stderr
     rows = history(folder).splitlines()
     assert any(row.split(",")[5] != "0" for row in rows[1:])  # steps are cut on the way
@@ -100,6 +100,18 @@ def test_a_run_that_was_stopped_and_resumed_has_the_same_history_and_fields(
     assert "going on from" in log(tmp_path)
     if code > 0:
         assert "stopped by SIGTERM" in log(tmp_path)
+
+
+def test_on_two_ranks_too_and_with_the_second_gradient(tmp_path):
+    whole, stopped = tmp_path / "whole", tmp_path / "stopped"
+    for folder, *options in ((whole, "every=1000"), (stopped, "kill=17"), (stopped, "--resume")):
+        options += ["end=0.008", "modulus=0.5"]
+        run = run_on_ranks(2, MODULE, "specimen", str(folder), *options)
+        assert (run.returncode == 0) == ("kill=17" not in options), run.stderr
+        if "kill=17" in options:
+            assert 1 < len(history(stopped).splitlines()) < 5
+    assert len(history(whole).splitlines()) == 5
+    assert history(stopped) == history(whole)
 
 
 def readable(folder: Path) -> int:
