@@ -31,6 +31,7 @@ MODULE = "tests.checkpoint_run"
 #: Open MPI then starts no helper beside a process that is alone.
 ALONE = {**os.environ, "OMP_NUM_THREADS": "1", "OMPI_MCA_ess_singleton_isolated": "1"}
 SELF = MPI.COMM_SELF
+STOPPED = 128 + signal.SIGTERM
 END = "end=0.0135"  # with cut steps from 0.012 on
 
 
@@ -82,7 +83,8 @@ def whole(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    "trouble, code", [("kill=41", -signal.SIGKILL), ("term=54", 128 + signal.SIGTERM)]
+    "trouble, code",
+    [("kill=17", -signal.SIGKILL), ("kill=54", -signal.SIGKILL), ("term=165", STOPPED)],
 )
 def test_a_run_that_was_stopped_and_resumed_has_the_same_history_and_fields(
     whole, tmp_path, trouble, code
