@@ -161,10 +161,10 @@ class Response:
         packing = self.committed.template
         first = max(self._first_overlap, packing.overlap_under(self.loading.least_pressure))
         steps = np.full(self.size, self.loading.time_step)
+        diameter = packing.mean_diameter
+        modulus = packing.contact_modulus(first * diameter)
         for b in np.flatnonzero(self.outcome.overlap > first):
-            stiffening = packing.contact_modulus(
-                self.outcome.overlap[b] * packing.mean_diameter
-            ) / packing.contact_modulus(first * packing.mean_diameter)
+            stiffening = packing.contact_modulus(self.outcome.overlap[b] * diameter) / modulus
             steps[b] /= np.sqrt(max(stiffening, 1.0))
         return steps
 
