@@ -3,8 +3,8 @@
 In the papers a boss sends whole packings to whoever is idle. Here every packing lives on a home
 rank, which need not be the rank of its quadrature point, and an evaluation moves nothing but F
 there and the stress back. An evaluation starts from the committed state, so before any of them
-packings can change their homes: they do where the steps that they took in the last one, which is
-much like the next, promise that it pays.
+packings can change their homes: they do where the steps that they are about to take promise that
+it pays. Those of the loading follow from F; those of the hold are guessed from the last one.
 """
 
 from __future__ import annotations
@@ -35,13 +35,15 @@ class MovableLaw(Law, Protocol):
 
     Attributes:
         FIELDS: the attributes that are arrays with a value for each point.
-        cost: steps that each point took in its last evaluation, (n,), integers.
         threads: that share the points of a rank.
     """
 
     FIELDS: tuple[str, ...]
-    cost: np.ndarray
     threads: int
+
+    def expected_cost(self, F: np.ndarray) -> np.ndarray:
+        """Steps that each point is likely to take at F (n, d, d), (n,), integers."""
+        ...
 
     def state(self) -> dict[str, np.ndarray]:
         """The committed state: arrays with one row per point."""
@@ -115,8 +117,9 @@ def better_homes(cost: np.ndarray, home: np.ndarray, ranks: int, threads: int) -
 def price_of(home: np.ndarray, new: np.ndarray, ranks: int) -> float:
     """Steps that packings could take while they change their homes, at the slowest rank."""
     leave, arrive = (np.bincount(h[new != home], minlength=ranks) for h in (home, new))
-    stay = np.bincount(home[new == home], minlength=ranks)
-    return float((STEPS_PER_MOVE * np.maximum(leave, arrive) + STEPS_PER_STAY * stay).max())
+    most = np.maximum(leave, arrive)
+    stay = np.where(most > 0, np.bincount(home[new == home], minlength=ranks), 0)
+    return float((STEPS_PER_MOVE * most + STEPS_PER_STAY * stay).max())
 
 
 def imbalance(load: np.ndarray) -> float:
@@ -177,8 +180,10 @@ class DistributedLaw:
 
     def evaluate(self, F: np.ndarray) -> np.ndarray:
         """Stress (size, d, d), Pa, at F (size, d, d). Raises, on all ranks, what the law raises."""
-        self._rehome()
-        at_home = self._to_homes(np.asarray(F, np.float64), "evaluation")
+        F = np.asarray(F, np.float64)
+        at_home = self._to_homes(F, "evaluation")
+        if self._rehome(together(self._comm, self.law.expected_cost, at_home)):
+            at_home = self._to_homes(F, "evaluation")
         return self._to_points(together(self._comm, self.law.evaluate, at_home), "evaluation")
 
     def tangent(self) -> np.ndarray:
@@ -214,22 +219,23 @@ class DistributedLaw:
 
     # ---- moving house ---------------------------------------------------------------------------
 
-    def _rehome(self) -> None:
-        """Move packings if the last evaluation says that the next ones gain by it."""
+    def _rehome(self, expected: np.ndarray) -> bool:
+        """Move packings if their expected costs (n,) say that this evaluation gains by it."""
         ranks, new = self._comm.size, None
         load = np.empty(ranks, np.int64)
-        self._comm.Allgather(np.array([self.law.cost.sum()], np.int64), load)
+        self._comm.Allgather(np.array([expected.sum()], np.int64), load)
         busy = imbalance(load)
         if busy > IMBALANCE_ALLOWED:
-            cost = self._everywhere(self.law.cost)
+            cost = self._everywhere(expected)
             new = better_homes(cost, self._home, ranks, self._threads)
         if new is None:
             self.balance = Balance(busy, busy, 0)
-            return
+            return False
         moved = int((new != self._home).sum())
         self.balance = Balance(busy, imbalance(loads(cost, new, ranks)), moved)
         self.moved += moved
         self.move(new)
+        return True
 
     def _everywhere(self, at_home: np.ndarray) -> np.ndarray:
         """Integers of the packings at home here -> those of all packings, on all ranks."""
@@ -254,17 +260,19 @@ class DistributedLaw:
         staying = there[old[there] == rank]
         to, since = (np.bincount(ends, minlength=ranks) for ends in (home[leaving], old[arriving]))
         state = self.law.state()
-        for name in sorted(state):
-            rows = state[name]
-            sent = np.ascontiguousarray(rows[np.searchsorted(here, leaving)])
-            received = np.empty((len(arriving), *rows.shape[1:]), rows.dtype)
-            width = rows.dtype.itemsize * int(np.prod(rows.shape[1:]))
-            self._comm.Alltoallv(_bytes(sent, to * width), _bytes(received, since * width))
-            state[name] = np.empty((len(there), *rows.shape[1:]), rows.dtype)
-            state[name][np.searchsorted(there, staying)] = rows[np.searchsorted(here, staying)]
-            state[name][np.searchsorted(there, arriving)] = received
-            self.sent["moves"] += sent.nbytes
+        sent = _packed({name: rows[np.searchsorted(here, leaving)] for name, rows in state.items()})
+        received = np.empty((len(arriving), sent.shape[1]), np.uint8)
+        width = sent.shape[1]
+        self._comm.Alltoallv(_bytes(sent, to * width), _bytes(received, since * width))
+        self.sent["moves"] += sent.nbytes
         self._settle(home)
+        if len(leaving) + len(arriving) == 0:
+            together(self._comm, self.law.discard)
+            return
+        stays = np.searchsorted(here, staying)
+        place = np.argsort(np.concatenate([staying, arriving]))
+        for name, new in _unpacked(received, state).items():
+            state[name] = np.concatenate([state[name][stays], new])[place]
         together(self._comm, self.law.restore, state)
 
     def _settle(self, home: np.ndarray) -> None:
@@ -306,6 +314,33 @@ class DistributedLaw:
         result = np.empty_like(arriving)
         result[comes] = arriving
         return result
+
+
+def _packed(arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """Arrays with n rows -> the bytes of each row, one array after the other, (n, bytes)."""
+    columns = [_flat(arrays[name]).view(np.uint8) for name in _with_content(arrays)]
+    return np.ascontiguousarray(np.concatenate(columns, axis=1))
+
+
+def _unpacked(rows: np.ndarray, like: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What `_packed` has packed: arrays as those of `like`, but with other rows."""
+    found, start = {}, 0
+    for name, array in like.items():
+        found[name] = np.empty((len(rows), *array.shape[1:]), array.dtype)
+    for name in _with_content(like):
+        bytes_ = _flat(found[name]).view(np.uint8)
+        bytes_[:] = rows[:, start : start + bytes_.shape[1]]
+        start += bytes_.shape[1]
+    return found
+
+
+def _with_content(arrays: dict[str, np.ndarray]) -> list[str]:
+    return [name for name in sorted(arrays) if np.prod(arrays[name].shape[1:]) > 0]
+
+
+def _flat(array: np.ndarray) -> np.ndarray:
+    """As (n, values of a row): a view where the array is contiguous."""
+    return np.ascontiguousarray(array).reshape(len(array), int(np.prod(array.shape[1:])))
 
 
 def _bytes(array: np.ndarray, counts: np.ndarray) -> list:

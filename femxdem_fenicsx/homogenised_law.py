@@ -142,7 +142,7 @@ class HomogenisedLaw:
         if np.shape(F) != shape:
             raise ValueError(f"F has shape {np.shape(F)}, expected {shape}")
         started = perf_counter()
-        F = self._identity + np.round((F - self._identity) / STRAIN_QUANTUM) * STRAIN_QUANTUM
+        F = self._rounded(F)
         try:
             outcome = self.response.deform(F)
         except (ValueError, FloatingPointError) as error:
@@ -150,6 +150,19 @@ class HomogenisedLaw:
         self._F = F
         self.tally.add(outcome, perf_counter() - started)
         return outcome.stress.copy()
+
+    def _rounded(self, F: np.ndarray) -> np.ndarray:
+        return self._identity + np.round((F - self._identity) / STRAIN_QUANTUM) * STRAIN_QUANTUM
+
+    def expected_cost(self, F: np.ndarray) -> np.ndarray:
+        """Steps of the DEM that each packing will take at F, (n,); only the hold's are a guess.
+
+        Raises InadmissibleDeformation for an F that is no deformation.
+        """
+        try:
+            return self.response.expected_steps(self._rounded(F))
+        except ValueError as error:
+            raise InadmissibleDeformation(str(error)) from None
 
     def tangent(self) -> np.ndarray:
         """C = d sigma / d F (n, d, d, d, d), Pa, at the last trial, by the law's operator.
@@ -176,8 +189,11 @@ class HomogenisedLaw:
 
     def state(self) -> dict[str, np.ndarray]:
         """The committed state, the whole of it: arrays with one row per packing."""
+        self.response.committed.clear_unused()
+        return self._arrays()
+
+    def _arrays(self) -> dict[str, np.ndarray]:
         response = self.response
-        response.committed.clear_unused()
         arrays = {name: getattr(response.committed, name) for name in PackingBatch.STATE}
         arrays = {name: array for name, array in arrays.items() if array is not None}
         for name, array in response.committed_outcome._asdict().items():
@@ -186,7 +202,7 @@ class HomogenisedLaw:
             arrays[f"operator/{name}"] = array
         return arrays | {
             "initial_box": self._initial_box,
-            "cost": response.cost,
+            "held": response.held,
             "tally": self._committed_tally,
             "tally_with_trials": self.tally.by_packing,
         }
@@ -198,7 +214,7 @@ class HomogenisedLaw:
 
         Raises ValueError, and changes nothing, for arrays other than this law's.
         """
-        own = self.state()
+        own = self._arrays()
         missing = sorted(own.keys() ^ state.keys())
         if missing:
             raise ValueError(f"a state of another law: not in both are {', '.join(missing)}")
@@ -215,8 +231,8 @@ class HomogenisedLaw:
         for name in self._memory:
             self._memory[name] = state.pop(f"operator/{name}")
         self.size = size
-        self.response.restore(state, Outcome(**outcome), state.pop("cost"))
-        self.discard()
+        self.response.restore(state, Outcome(**outcome), state.pop("held"))
+        self._F = np.broadcast_to(self._identity, (size, self.dim, self.dim))
 
     def save(self, group: h5py.Group) -> None:
         """Write the committed state into an HDF5 group, one row per packing."""
@@ -235,12 +251,9 @@ class HomogenisedLaw:
                 state.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None
             )
         )
+        if state.pop("cost", None) is not None:  # of the first format
+            state["held"] = state["outcome/hold_steps"].copy()
         self.restore(state | {"tally_with_trials": state["tally"].copy()})
-
-    @property
-    def cost(self) -> np.ndarray:
-        """Steps of the DEM that each packing took in its last evaluation, (n,)."""
-        return self.response.cost
 
     @property
     def threads(self) -> int:
