@@ -10,6 +10,7 @@ it pays. Those of the loading follow from F; those of the hold are guessed from 
 from __future__ import annotations
 
 import heapq
+import math
 from collections import Counter
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
@@ -17,15 +18,17 @@ from typing import NamedTuple, Protocol
 import h5py
 import numpy as np
 from mpi4py import MPI
+from numba import njit
 
 from .collective import together
 from .law import Law
 
-#: Steps of a packing's DEM that take as long as sending it to another rank, and as copying one
-#: that stays into new arrays, which is done whenever the rank's packings change (docs/cluster.md).
-STEPS_PER_MOVE, STEPS_PER_STAY = 20.0, 5.0
-#: Evaluations within which a move must pay.
-EVALUATIONS_TO_PAY = 10
+#: Steps of a packing's DEM that take as long as a change of homes, beside what it takes for each
+#: packing: sending it to another rank, or copying one that stays into new arrays, which is done
+#: where the rank's packings change (docs/cluster.md).
+STEPS_PER_CHANGE, STEPS_PER_MOVE, STEPS_PER_STAY = 60.0, 3.0, 2.0
+#: Evaluations within which a change must pay: the next ones are not much like this one.
+EVALUATIONS_TO_PAY = 2
 #: A placement stands while the busiest rank has at most this over the mean.
 IMBALANCE_ALLOWED = 1.02
 
@@ -67,50 +70,77 @@ def loads(cost: np.ndarray, home: np.ndarray, ranks: int) -> np.ndarray:
     return np.bincount(home, weights=cost, minlength=ranks)
 
 
-def place(cost: np.ndarray, home: np.ndarray, ranks: int) -> np.ndarray:
-    """New homes (n,): the longest first, each to the least loaded rank, or left where it is.
+def place(cost: np.ndarray, home: np.ndarray, ranks: int, threads: int = 1) -> np.ndarray:
+    """New homes (n,): the longest first, each to the least loaded thread, or left where it is.
 
-    Graham's longest processing time first gives the load that no rank should exceed; a packing
+    Graham's longest processing time first gives the load that no thread should exceed; a packing
     that its present home can take within that load stays there.
 
     Args:
         cost: of each packing, (n,).
         home: rank where each is now, (n,).
         ranks: how many there are.
+        threads: that share the packings of a rank.
     """
-    order = np.argsort(-cost, kind="stable")
-    longest_first = _longest_first(cost, order, home, ranks, 0.0)
-    limit = loads(cost, longest_first, ranks).max(initial=0.0)
-    return _longest_first(cost, order, home, ranks, limit * (1 + 1e-12))
+    return _place(cost, home, ranks, threads)[0]
 
 
-def _longest_first(cost, order, home, ranks: int, limit: float) -> np.ndarray:
-    """Packings in `order` to the least loaded rank, or to their home if its load stays in limit."""
-    load = np.zeros(ranks)
+def _place(cost, home, ranks: int, threads: int) -> tuple[np.ndarray, float]:
+    """New homes, and the load of the busiest thread there."""
+    cost, order = np.asarray(cost, np.float64), np.argsort(-cost, kind="stable")
+    _, limit = _longest_first(cost, order, home, ranks, threads, 0.0)
+    return _longest_first(cost, order, home, ranks, threads, limit * (1 + 1e-12))
+
+
+@njit(cache=True)
+def _longest_first(cost, order, home, ranks, threads, limit):
+    """Packings in `order` to the least loaded thread, or to one at home if its load is in limit."""
+    load = np.zeros((ranks, threads))  # each row is a heap
     heap = [(0.0, rank) for rank in range(ranks)]
     new = np.empty_like(home)
     for packing in order:
         rank = home[packing]
-        if load[rank] + cost[packing] > limit:
-            while heap[0][0] != load[heap[0][1]]:  # an old entry of a rank that has got more since
+        if load[rank, 0] + cost[packing] > limit:
+            while heap[0][0] != load[heap[0][1], 0]:  # an old entry: the rank has got more since
                 heapq.heappop(heap)
             rank = heap[0][1]
         new[packing] = rank
-        load[rank] += cost[packing]
-        heapq.heappush(heap, (load[rank], rank))
-    return new
+        _add(load[rank], cost[packing])
+        heapq.heappush(heap, (load[rank, 0], rank))
+    return new, load.max()
+
+
+@njit(cache=True)
+def _add(heap, cost):
+    """Add to the least entry of a heap."""
+    heap[0] += cost
+    at = 0
+    while True:
+        least = at
+        for child in (2 * at + 1, 2 * at + 2):
+            if child < len(heap) and heap[child] < heap[least]:
+                least = child
+        if least == at:
+            return
+        heap[at], heap[least] = heap[least], heap[at]
+        at = least
+
+
+def busiest(cost: np.ndarray, home: np.ndarray, ranks: int, threads: int) -> float:
+    """Load of the busiest thread, if those of a rank take its packings the longest first."""
+    cost, order = np.asarray(cost, np.float64), np.argsort(-cost, kind="stable")
+    return _longest_first(cost, order, home, ranks, threads, np.inf)[1]
 
 
 def better_homes(cost: np.ndarray, home: np.ndarray, ranks: int, threads: int) -> np.ndarray | None:
-    """New homes (n,), where a few evaluations gain more by them than the move takes; else None.
+    """New homes (n,), where two evaluations gain more by them than the change takes; else None.
 
-    Arguments as those of `place`; `threads` share the packings of a rank.
+    Arguments as those of `place`.
     """
-    load = loads(cost, home, ranks)
-    if imbalance(load) <= IMBALANCE_ALLOWED:
+    if imbalance(loads(cost, home, ranks)) <= IMBALANCE_ALLOWED:
         return None
-    new = place(cost, home, ranks)
-    gain = (load.max() - loads(cost, new, ranks).max()) / threads
+    new, after = _place(cost, home, ranks, threads)
+    gain = busiest(cost, home, ranks, threads) - after
     return new if EVALUATIONS_TO_PAY * gain > price_of(home, new, ranks) else None
 
 
@@ -119,7 +149,7 @@ def price_of(home: np.ndarray, new: np.ndarray, ranks: int) -> float:
     leave, arrive = (np.bincount(h[new != home], minlength=ranks) for h in (home, new))
     most = np.maximum(leave, arrive)
     stay = np.where(most > 0, np.bincount(home[new == home], minlength=ranks), 0)
-    return float((STEPS_PER_MOVE * most + STEPS_PER_STAY * stay).max())
+    return STEPS_PER_CHANGE + float((STEPS_PER_MOVE * most + STEPS_PER_STAY * stay).max())
 
 
 def imbalance(load: np.ndarray) -> float:
@@ -335,12 +365,12 @@ def _unpacked(rows: np.ndarray, like: dict[str, np.ndarray]) -> dict[str, np.nda
 
 
 def _with_content(arrays: dict[str, np.ndarray]) -> list[str]:
-    return [name for name in sorted(arrays) if np.prod(arrays[name].shape[1:]) > 0]
+    return [name for name in sorted(arrays) if math.prod(arrays[name].shape[1:]) > 0]
 
 
 def _flat(array: np.ndarray) -> np.ndarray:
     """As (n, values of a row): a view where the array is contiguous."""
-    return np.ascontiguousarray(array).reshape(len(array), int(np.prod(array.shape[1:])))
+    return np.ascontiguousarray(array).reshape(len(array), math.prod(array.shape[1:]))
 
 
 def _bytes(array: np.ndarray, counts: np.ndarray) -> list:

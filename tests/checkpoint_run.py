@@ -138,8 +138,9 @@ def specimen(folder: Path, *options: str) -> None:
     """Compress a softening specimen.
 
     Options: --resume, digest (of the state), stop (on a failure to write), end=, every=,
-    threshold=, modulus= (of the law, of the second gradient), and what is to go wrong: kill=, term= (a signal at that
-    evaluation), law=, output=, solve= (an error of a rank at that call), limit= (on file sizes).
+    threshold=, modulus= (of the law, of the second gradient), and what is to go wrong: kill=,
+    term= (a signal at that evaluation), law=, output=, solve= (an error of a rank at that call),
+    limit= (on file sizes).
     """
     from femxdem_fenicsx import distribution, script
     from femxdem_fenicsx.fem import problem

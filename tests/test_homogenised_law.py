@@ -143,6 +143,21 @@ def test_measures_are_those_of_the_committed_packings(packing):
     assert not law.failed.any()
 
 
+def test_the_steps_to_load_are_known_before_and_those_to_hold_are_as_the_last(packing):
+    law = walked(packing)
+    held = law.response.outcome.hold_steps
+    for seed, size in ((5, 1.0), (6, 10.0), (7, 0.0)):
+        F = np.eye(2) + size * (increments(seed) - np.eye(2))
+        expected = law.expected_cost(F)
+        law.evaluate(F)
+        outcome = law.response.outcome
+        np.testing.assert_array_equal(expected, outcome.loading_steps + held)
+        held = outcome.hold_steps
+    assert len(set(outcome.loading_steps)) == 1  # none to speak of, where F = I
+    with pytest.raises(InadmissibleDeformation):
+        law.expected_cost(-F)
+
+
 def test_the_tally_counts_what_was_done_and_holds_that_did_not_end(packing):
     law = HomogenisedLaw(packing, SIZE, FAST.but(hold_limit=25, tolerance=1e-8))
     law.evaluate(increments(0))

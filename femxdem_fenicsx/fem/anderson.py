@@ -92,9 +92,7 @@ class Anderson:
         update = g.copy()
         update.scale(self.beta)
         if self.differences:
-            gram = np.array(
-                [[p.dot(q) for _, q in self.differences] for _, p in self.differences]
-            )
+            gram = np.array([[p.dot(q) for _, q in self.differences] for _, p in self.differences])
             right = np.array([p.dot(g) for _, p in self.differences])
             smallest = self.SMALLEST_SINGULAR_VALUE**2
             gamma = np.linalg.lstsq(gram, right, rcond=smallest)[0]
