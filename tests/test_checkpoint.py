@@ -244,7 +244,10 @@ def test_a_checkpoint_of_the_first_format_is_gone_on_with(tmp_path):
     command = [sys.executable, "demos/biaxial.py", "--output", str(tmp_path), "--resume", "--quiet"]
     scene = ["--grains", "60", "--seed", "2", "--mesh", "1", "1", "--accuracy", "fast"]
     run = subprocess.run(
-        [*command, *scene, "--strain", "0.005"], cwd=ROOT, capture_output=True, text=True
+        [*command, *scene, "--strain", "0.005", "--tolerance", "1e-3"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
     )
     assert run.returncode == 0, run.stderr
     found, expected = (
@@ -254,8 +257,8 @@ def test_a_checkpoint_of_the_first_format_is_gone_on_with(tmp_path):
     assert len(found) == len(expected) == 5
     for name in set(found.dtype.names) - {"seconds"}:
         assert np.array_equal(found[name][:3], expected[name][:3]), name
-    for name in ("stress_ratio", "void_ratio"):  # the solver may be another one by now
-        np.testing.assert_allclose(found[name][3:], expected[name][3:], rtol=2e-2, err_msg=name)
+    for name in ("stress_ratio", "void_ratio"):  # other solvers end that near: see its README
+        np.testing.assert_allclose(found[name][3:], expected[name][3:], rtol=1e-3, err_msg=name)
 
 
 def test_checksums_are_those_of_sha256sum(tmp_path):

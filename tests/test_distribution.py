@@ -12,6 +12,7 @@ from femxdem_fenicsx.dem.files import save_packing
 from femxdem_fenicsx.dem.preparation import random_packing
 from femxdem_fenicsx.distribution import IMBALANCE_ALLOWED, better_homes, busiest, loads, place
 from tests.mpi import ROOT, run_on_ranks
+from tests.reference import DATA
 
 MODULE = "tests.distribution_run"
 
@@ -122,6 +123,19 @@ def test_an_evaluation_sends_F_there_and_the_stress_back_and_nothing_else(states
     assert told[1, 1, "stay"]["sent"] == 0
     per_point = 2 * 4 * 8  # F and stress
     assert 0 < told[2, 1, "stay"]["sent"] <= 7 * 8 * per_point  # 7 points, 8 evaluations
+
+
+def test_spheres_in_plane_strain_answer_the_same_on_two_ranks():
+    """The law in 3D lives on other ranks than the points of the plane."""
+    found = []
+    for ranks in (1, 2):
+        run = run_on_ranks(ranks, MODULE, "plane_strain", str(DATA))
+        assert run.returncode == 0, run.stderr
+        found.append(json.loads(run.stdout))
+    one, two = found
+    assert len(one["shown"]) == 2 and one["evaluations"] == two["evaluations"]
+    np.testing.assert_allclose(two["shown"], one["shown"], rtol=1e-8, atol=1e-3)
+    assert np.abs(one["shown"]).max() > 1e5
 
 
 def test_costs_that_differ_thirty_times_are_balanced_before_they_are_paid_again():
