@@ -35,6 +35,14 @@ COUNTS = np.dtype(
 )
 
 
+#: In names of what rejected and pending tries have changed, and a resumed run must not know of.
+WITH_TRIALS = "_with_trials"
+
+
+def _copies(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {name: array.copy() for name, array in arrays.items()}
+
+
 class Tally:
     """What the packings of this rank have done so far, in all their evaluations.
 
@@ -123,6 +131,7 @@ class HomogenisedLaw:
         self._identity = np.eye(self.dim)
         self.tally = Tally(size)
         self._committed_tally = self.tally.by_packing.copy()
+        self._committed_memory = _copies(self._memory)
         self._F = np.broadcast_to(self._identity, (size, self.dim, self.dim))
         self._initial_box = self.response.committed.box.copy()
         one = Response(packing, 1, accuracy)  # a rank may have no packing at first
@@ -180,6 +189,7 @@ class HomogenisedLaw:
         """The trial becomes the state."""
         self.response.commit()
         self._committed_tally = self.tally.by_packing.copy()
+        self._committed_memory = _copies(self._memory)
         self._F = np.broadcast_to(self._identity, (self.size, self.dim, self.dim))
 
     def discard(self) -> None:
@@ -199,12 +209,13 @@ class HomogenisedLaw:
         for name, array in response.committed_outcome._asdict().items():
             arrays[f"outcome/{name}"] = array
         for name, array in self._memory.items():
-            arrays[f"operator/{name}"] = array
+            arrays[f"operator/{name}"] = self._committed_memory[name]
+            arrays[f"operator{WITH_TRIALS}/{name}"] = array
         return arrays | {
             "initial_box": self._initial_box,
             "held": response.held,
             "tally": self._committed_tally,
-            "tally_with_trials": self.tally.by_packing,
+            f"tally{WITH_TRIALS}": self.tally.by_packing,
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
@@ -226,10 +237,11 @@ class HomogenisedLaw:
         state = {name: np.asarray(array, own[name].dtype) for name, array in state.items()}
         self._initial_box = state.pop("initial_box")
         self._committed_tally = state.pop("tally")
-        self.tally.by_packing = state.pop("tally_with_trials")
+        self.tally.by_packing = state.pop(f"tally{WITH_TRIALS}")
         outcome = {name: state.pop(f"outcome/{name}") for name in Outcome._fields}
         for name in self._memory:
-            self._memory[name] = state.pop(f"operator/{name}")
+            self._committed_memory[name] = state.pop(f"operator/{name}")
+            self._memory[name] = state.pop(f"operator{WITH_TRIALS}/{name}")
         self.size = size
         self.response.restore(state, Outcome(**outcome), state.pop("held"))
         self._F = np.broadcast_to(self._identity, (size, self.dim, self.dim))
@@ -237,7 +249,7 @@ class HomogenisedLaw:
     def save(self, group: h5py.Group) -> None:
         """Write the committed state into an HDF5 group, one row per packing."""
         for name, array in self.state().items():
-            if name != "tally_with_trials":  # a resumed run tries again
+            if WITH_TRIALS not in name:  # a resumed run tries again
                 group[name] = array
 
     def load(self, group: h5py.Group) -> None:
@@ -253,7 +265,14 @@ class HomogenisedLaw:
         )
         if state.pop("cost", None) is not None:  # of the first format
             state["held"] = state["outcome/hold_steps"].copy()
-        self.restore(state | {"tally_with_trials": state["tally"].copy()})
+        memory = {name: state.get(f"operator/{name}") for name in self._memory}
+        state = {name: array for name, array in state.items() if not name.startswith("operator/")}
+        for name, array in memory.items():
+            if array is None:  # another operator was at work
+                array = np.zeros_like(self._memory[name])
+            state[f"operator/{name}"] = array
+            state[f"operator{WITH_TRIALS}/{name}"] = array.copy()
+        self.restore(state | {f"tally{WITH_TRIALS}": state["tally"].copy()})
 
     @property
     def threads(self) -> int:

@@ -104,7 +104,10 @@ def test_a_run_that_was_stopped_and_resumed_has_the_same_history_and_fields(
         assert "stopped by SIGTERM" in log(tmp_path)
 
 
-def test_on_two_ranks_too_and_with_the_second_gradient(tmp_path):
+def test_on_two_ranks_too_with_the_second_gradient_and_all_that_a_solver_keeps(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setenv("PETSC_OPTIONS", "-femxdem_snes_anderson_keep 1")
     whole, stopped = tmp_path / "whole", tmp_path / "stopped"
     for folder, *options in ((whole, "every=1000"), (stopped, "kill=17"), (stopped, "--resume")):
         options += ["end=0.008", "modulus=0.5"]

@@ -202,6 +202,41 @@ def test_a_saved_law_comes_back_bit_for_bit_and_goes_on_with_the_same_bits(
         again.commit()
 
 
+def test_what_an_operator_learns_from_a_trial_is_not_saved(packing, tmp_path):
+    laws = [walked(packing, "PSTLO-secant") for _ in range(2)]
+    for law in laws:
+        law.evaluate(increments(2))
+        law.tangent()
+        law.commit()
+    law, other = laws
+    law.evaluate(np.eye(2) + 5 * (increments(3) - np.eye(2)))
+    law.tangent()  # far enough to be computed anew
+    again = HomogenisedLaw(packing, SIZE, FAST, "PSTLO-secant")
+    with h5py.File(tmp_path / "law.h5", "w") as file:
+        law.save(file)
+        again.load(file)
+    answers = []
+    for one in (again, other, law):
+        one.discard()
+        one.evaluate(increments(4))
+        answers.append(one.tangent())
+    np.testing.assert_array_equal(answers[0], answers[1])
+    assert not np.array_equal(answers[0], answers[2])
+
+
+def test_a_law_goes_on_with_another_operator_than_the_one_it_was_saved_with(packing, tmp_path):
+    for first, second in (("UKO", "PSTLO-secant"), ("PSTLO-secant", "UKO")):
+        law = walked(packing, first)
+        law.tangent()
+        law.commit()
+        again = HomogenisedLaw(packing, SIZE, FAST, second)
+        with h5py.File(tmp_path / f"{first}.h5", "w") as file:
+            law.save(file)
+            again.load(file)
+        np.testing.assert_array_equal(again.evaluate(increments(4)), law.evaluate(increments(4)))
+        assert np.isfinite(again.tangent()).all()
+
+
 def test_a_trial_is_not_saved(packing, tmp_path):
     law = walked(packing)
     committed = law.stress.copy()

@@ -66,7 +66,7 @@ class Learnt:
             if self._kept is None:
                 self._kept = self._matrix.duplicate()
             self._matrix.copy(self._kept, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        if self._anderson:
+        if self._anderson and self._anderson.keep:
             self._known.factorised = self._anderson.factorised
             self._known.differences = list(self._anderson.differences)
 

@@ -12,6 +12,11 @@ from tests.fem.specimen import Specimen
 STEP = 0.05
 
 
+@pytest.fixture(autouse=True)
+def keeping(petsc_options):
+    petsc_options("-femxdem_snes_anderson_keep 1")
+
+
 def specimen(**options) -> Specimen:
     return Specimen(lambda points: Counting(points.size, points.mesh.geometry.dim), **options)
 
