@@ -28,6 +28,8 @@ REASONS = {
 }
 
 
+#: A change of the increment goes on if its error as a forecast was this share of that of none.
+CLEARLY = 0.7
 #: What the iteration of a step can start from, see `Problem`.
 FIRST_GUESSES = ("increment", "tangent")
 
@@ -320,15 +322,15 @@ class Problem:
     def _note_trend(self, step: float) -> None:
         """How the increment per unit of load has changed, and whether that foretells anything.
 
-        It is taken to go on where the change before it would have foretold this step better than no
-        change: up to the peak it does, behind it the grains rearrange.
+        It is taken to go on where the change before it would have foretold this step clearly better
+        than no change: up to the peak it does, behind it the grains rearrange.
         """
         if self._last_step is None:
             return
         last, increment = self._last_step
         change = self.u.x.array[: self._size] / step - increment / last
         constant, linear = self._norms(change, change - self._change)
-        self._change, self._goes_on = change, linear < constant
+        self._change, self._goes_on = change, linear < CLEARLY * constant
 
     def _left_over(self) -> np.ndarray:
         """What the last step left out of balance, as a displacement, by the last Jacobian."""
