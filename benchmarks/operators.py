@@ -324,9 +324,9 @@ def spectra_of(study, specimen, operators) -> dict:
 
 def summary(study: Study, states: dict, runs: dict) -> dict:
     """The result, with the keys that are compared from release to release."""
-    peak = np.array(
-        runs["default" if "default" in runs else next(iter(runs))]["stress_ratio"]
-    ).argmax()
+    judge = runs["default" if "default" in runs else next(iter(runs))]
+    in_balance = np.where(judge["converged"], judge["stress_ratio"], 0.0)
+    peak = int(in_balance.argmax())
     rows = {}
     for name, one in runs.items():
         iterations, evaluations = np.array(one["iterations"]), np.array(one["evaluations"])
@@ -350,7 +350,7 @@ def summary(study: Study, states: dict, runs: dict) -> dict:
         "operators": rows,
         "mesh": study.mesh,
         "step": study.step,
-        "strain_at_peak": runs[next(iter(runs))]["strain"][peak],
+        "strain_at_peak": judge["strain"][peak],
         "default_operator": runs["default"]["operator"] if "default" in runs else None,
         "states": states,
         "cpu_count": os.cpu_count(),
