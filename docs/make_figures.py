@@ -453,9 +453,21 @@ def draw_friction() -> None:
     figure.savefig(FIGURES / "lab_friction.png")
 
 
+def run_bands() -> None:
+    import figures_bands
+
+    figures_bands.run(python)
+
+
+def draw_bands() -> None:
+    import figures_bands
+
+    figures_bands.draw()
+
+
 NAMES = (
     "accuracy", "element_tests", "coupled", "biaxial", "operators", "laboratory",
-    "representativity", "friction", "second_gradient",
+    "representativity", "friction", "second_gradient", "bands",
 )  # fmt: skip
 
 
