@@ -75,8 +75,7 @@ def test_a_damaged_folder_or_study_is_refused(tmp_path):
     (tmp_path / "study.json").write_text("{")
     with pytest.raises(ValueError, match="damaged"):
         run(SMALL, tmp_path)
-    settings = {"pressure": 1e5, "strain": 0.06, "step": 2e-3}
-    (tmp_path / "study.json").write_text(json.dumps(settings))
+    (tmp_path / "study.json").write_text(json.dumps(SMALL.settings))
     (tmp_path / "rows.csv").write_text("grains,seed\n100,1\n")
     with pytest.raises(ValueError, match="this table is damaged"):
         run(SMALL, tmp_path)
