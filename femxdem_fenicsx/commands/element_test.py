@@ -190,8 +190,8 @@ TESTS: dict[str, Test] = {
         lab_plots.save_compression_test, DRAINED,
     ),
     "triaxial": Test(
-        "drained triaxial compression of spheres", 3, _drained_options(SPHERE_STEP), _drained, _axial,
-        lab_plots.save_compression_test, DRAINED,
+        "drained triaxial compression of spheres", 3, _drained_options(SPHERE_STEP), _drained,
+        _axial, lab_plots.save_compression_test, DRAINED,
     ),
     "undrained": Test(
         "axial compression at constant volume", None, _strain(0.1),
