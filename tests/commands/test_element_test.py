@@ -200,8 +200,8 @@ def test_spheres_are_led_to_the_end_of_a_triaxial_test(femxdem, tmp_path, b):  #
     good = table["reached"] == 1
     assert good.mean() > 0.7
     led = {None: (x, y), 0.5: ((x + y + z) / 3, y)}[b]
-    for stress in led:
-        assert np.abs(stress[good] / 1e5 - 1).max() < 1.5e-2
+    for component in led:
+        assert np.abs(component[good] / 1e5 - 1).max() < 1.5e-2
     ratio = (z / x)[-1]
     angle = np.degrees(np.arcsin((ratio - 1) / (ratio + 1)))
     told = json.loads((tmp_path / f"{name}.json").read_text())
