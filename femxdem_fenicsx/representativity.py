@@ -155,6 +155,7 @@ def _read(path: Path) -> list[dict]:
         try:
             return [
                 {name: None if row[name] == "" else float(row[name]) for name in COLUMNS}
+                | {name: int(float(row[name])) for name in ("dim", "grains", "seed")}
                 for row in csv.DictReader(file)
             ]
         except (KeyError, TypeError, ValueError):

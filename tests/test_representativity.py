@@ -19,9 +19,13 @@ def study(tmp_path_factory):
     return folder, run(SMALL, folder, threads=2)
 
 
+def _keys(rows):
+    return [(row["dim"], row["grains"], row["seed"]) for row in rows]
+
+
 def test_every_size_and_seed_has_a_row_and_a_packing(study):
     folder, rows = study
-    assert [(r["dim"], r["grains"], r["seed"]) for r in rows] == SMALL.cases
+    assert _keys(rows) == SMALL.cases
     for row in rows:
         packing = load_packing(packing_path(folder, 2, row["grains"], row["seed"]))
         assert packing.size == row["grains"]
@@ -43,6 +47,9 @@ def test_rows_that_are_there_are_not_computed_again(study, monkeypatch):
     assert computed == [] and [r["void_ratio"] for r in again] == [r["void_ratio"] for r in rows]
     more = run(Study(disks=(64, 100), spheres=(), seeds=3, strain=0.06), folder)
     assert computed == [(2, 64, 3), (2, 100, 3)] and len(more) == 6
+    assert [line.split(",")[:3] for line in (folder / "rows.csv").read_text().split()[1:]] == [
+        [str(number) for number in case] for case in sorted(_keys(more))
+    ]
 
 
 def test_another_test_in_the_same_folder_is_refused(study):
