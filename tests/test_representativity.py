@@ -1,6 +1,7 @@
 """The study of packing sizes: rows, restart, figures."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -32,6 +33,7 @@ def test_every_size_and_seed_has_a_row_and_a_packing(study):
         assert structure_of(packing).void_ratio == row["void_ratio"]
         assert row["strain_reached"] == pytest.approx(0.06)
         assert 20 < row["peak_friction_angle"] < 45
+    assert len({row["void_ratio"] for row in rows}) == len(rows)  # another packing for each seed
 
 
 def test_rows_that_are_there_are_not_computed_again(study, monkeypatch):
@@ -52,10 +54,13 @@ def test_rows_that_are_there_are_not_computed_again(study, monkeypatch):
     ]
 
 
-def test_another_test_in_the_same_folder_is_refused(study):
+@pytest.mark.parametrize(
+    "changed", [{"strain": 0.1}, {"sphere_step": 1e-3}, {"tolerance": 1e-2}, {"pressure": 2e5}]
+)
+def test_another_test_in_the_same_folder_is_refused(study, changed):
     folder, _ = study
     with pytest.raises(ValueError, match="holds rows of another test") as error:
-        run(Study(disks=(64,), spheres=(), seeds=2, strain=0.1), folder)
+        run(replace(SMALL, **changed), folder)
     assert "\n" not in str(error.value)
 
 
@@ -67,6 +72,7 @@ def test_the_table_and_the_summary_have_mean_and_deviation(study):
     assert cells[1][1] == f"{voids.mean():.3f}±{voids.std(ddof=1):.3f}"
     columns, lines = summary(rows)
     assert lines[0]["void_ratio_mean"] == pytest.approx(voids.mean())
+    assert lines[0]["void_ratio_deviation"] == pytest.approx(voids.std(ddof=1))
     assert set(columns) == set(lines[0]) and table(rows, 3) == (("grains",), table(rows, 3)[1])
 
 
