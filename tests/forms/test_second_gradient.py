@@ -125,6 +125,24 @@ def test_uniform_strain_of_a_distorted_patch_in_3d(name):
     assert np.abs(patch.double_stress).max() < 1e-9
 
 
+def test_an_iterative_solver_comes_to_the_same(petsc_options):
+    displacement = lambda x: np.array([0.02 * x[1] ** 2, -0.05 * x[1] + 0.01 * x[0] * x[1]])  # noqa: E731
+    ends = []
+    for options in (
+        "-femxdem_ksp_type preonly",
+        "-femxdem_ksp_type gmres -femxdem_ksp_rtol 1e-10 -femxdem_pc_type asm"
+        " -femxdem_pc_asm_blocks 4 -femxdem_pc_asm_overlap 4 -femxdem_sub_pc_type lu"
+        " -femxdem_sub_pc_factor_mat_solver_type mumps",
+    ):
+        petsc_options(options)
+        patch = Patch("Q8")
+        patch.prescribe(displacement)
+        assert patch.problem.solve().converged
+        ends.append((patch.problem.u.x.array.copy(), patch.problem.snes.getKSP()))
+    assert ends[1][1].getIterationNumber() > 3
+    np.testing.assert_allclose(ends[1][0], ends[0][0], rtol=0, atol=1e-8)
+
+
 SECOND = 1e-2 * np.array([[[1.0, 0.5], [0.5, -2.0]], [[-1.5, 1.0], [1.0, 0.7]]])
 
 
