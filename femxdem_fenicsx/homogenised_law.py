@@ -31,6 +31,7 @@ COUNTS = np.dtype(
         ("unfinished", np.int64),
         ("unbalance", np.float64),
         ("overlap", np.float64),
+        ("inertial_number", np.float64),
     ]
 )
 
@@ -41,7 +42,8 @@ class Tally:
     Attributes:
         by_packing: (n,) `COUNTS`: evaluations; steps of the DEM; evaluations that ended at the
             hold limit; the largest unbalance left by any (Desrues eq. 19); the largest overlap of
-            a contact over its grains' mean diameter. It moves with the packings.
+            a contact over its grains' mean diameter; the largest inertial number reached. It moves
+            with the packings.
         evaluations: of the batch. seconds: spent in them. tangent_seconds: in tangents.
     """
 
@@ -60,8 +62,8 @@ class Tally:
         counts["evaluations"] += 1
         counts["steps"] += outcome.loading_steps + outcome.hold_steps
         counts["unfinished"] += ~outcome.at_rest
-        np.maximum(counts["unbalance"], outcome.unbalance, out=counts["unbalance"])
-        np.maximum(counts["overlap"], outcome.overlap, out=counts["overlap"])
+        for name in ("unbalance", "overlap", "inertial_number"):
+            np.maximum(counts[name], getattr(outcome, name), out=counts[name])
         self.evaluations += 1
         self.seconds += seconds
 
@@ -89,6 +91,11 @@ class Tally:
     def worst_overlap(self) -> float:
         """The largest of any contact in any evaluation."""
         return float(self.by_packing["overlap"].max(initial=0.0))
+
+    @property
+    def largest_inertial_number(self) -> float:
+        """That any packing reached in any evaluation; more than asked for where pressure fell."""
+        return float(self.by_packing["inertial_number"].max(initial=0.0))
 
 
 class HomogenisedLaw:
