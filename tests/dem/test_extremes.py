@@ -111,12 +111,19 @@ def test_the_limit_with_damping_is_that_of_springs_as_much_stiffer(damping):
     limit = 2 / np.sqrt(4 * STIFFNESS * (1 + damping) / line.masses[0])
 
     def growth(share: float) -> float:
-        velocity = 1e-9 * np.outer([1, -1] * 3, [1.0, 0.0])
-        moving = Moving(line, velocity).advance(400, share * limit, damping=damping)
-        return np.abs(moving.velocity).max() / 1e-9
+        """Largest speed ever over the first, from several phases of the swing."""
+        largest = 0.0
+        for phase in np.linspace(0, np.pi, 8, endpoint=False):
+            swing = 1e-9 * np.outer([1, -1] * 3, [1.0, 0.0])
+            shifted = line.positions + 0.5 * limit * np.cos(phase) * swing / line.box[0, 0]
+            moving = Moving(line.but(positions=shifted), np.sin(phase) * swing)
+            for _ in range(40):
+                moving.advance(10, share * limit, damping=damping)
+                largest = max(largest, np.abs(moving.velocity).max())
+        return largest / 1e-9
 
-    assert growth(0.99) < 10
-    assert growth(1.06) > 1000
+    assert growth(0.98) < 10
+    assert growth(1.02) > 1000
 
 
 @pytest.mark.parametrize(("damping", "hold_damping"), [(0.0, 0.0), (0.0, 0.99), (0.99, 0.5)])
@@ -163,7 +170,7 @@ def test_any_friction_is_computed_and_more_of_it_makes_the_packing_stronger(pack
 def test_friction_as_low_as_1e_6_is_as_good_as_none_and_10_as_good_as_1e6(packing):
     for few, many in ((0.0, 1e-6), (10.0, 1e6)):
         one, other = (
-            stress_after(packing.but(law=replace(packing.law, friction=mu)), BALANCED)
+            stress_after(packing.but(law=replace(packing.law, friction=mu)), increments=1)
             for mu in (few, many)
         )
         np.testing.assert_allclose(one, other, atol=1e-2 * np.abs(one).max())
