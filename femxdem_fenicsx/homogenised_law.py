@@ -22,6 +22,8 @@ FAILED_STIFFNESS = 1e-2
 #: by the grains until 1 and 2 ranks part (docs/accuracy.md).
 STRAIN_QUANTUM = 2.0**-30
 
+#: What is zero in the state of a program that did not know it.
+NOT_IN_THE_FIRST_FORMAT = ("outcome/inertial_number", "outcome/vibration")
 
 #: What a `Tally` knows of each packing.
 COUNTS = np.dtype(
@@ -242,7 +244,12 @@ class HomogenisedLaw:
                 state.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None
             )
         )
-        self.restore(state | {"tally_with_trials": state["tally"].copy()})
+        tally = np.zeros(self.size, COUNTS)
+        for name in state["tally"].dtype.names:
+            tally[name] = state["tally"][name]
+        for name in NOT_IN_THE_FIRST_FORMAT:
+            state.setdefault(name, np.zeros(self.size))
+        self.restore(state | {"tally": tally, "tally_with_trials": tally.copy()})
 
     @property
     def cost(self) -> np.ndarray:

@@ -324,7 +324,9 @@ class PackingBatch:
             raise ValueError(f"PackingBatch: size must not be negative, got {size}")
         N, d = packing.size, packing.dim
         q = 1 if d == 2 else 3
-        room = max(CONTACTS_PER_GRAIN[d] * N, 3 * len(packing.contacts) // 2)
+        room = CONTACTS_PER_GRAIN[d] * N
+        if len(packing.contacts) > room:  # very soft ones
+            room = 3 * len(packing.contacts) // 2
         batch = cls(
             packing,
             np.zeros((size, d, d)),

@@ -97,8 +97,8 @@ def random_packing(
         raise ValueError(f"a packing has 2 or 3 dimensions, not {dim}")
     if grains < FEWEST_GRAINS[dim]:
         raise ValueError(
-            f"{grains} grains: their box would be lower than two diameters, and they would meet"
-            f" their own images; take {FEWEST_GRAINS[dim]} or more"
+            f"grains: with {grains} the box is lower than two diameters, and they meet their own"
+            f" images; use more grains, {FEWEST_GRAINS[dim]} at least"
         )
     if thickness is None:
         thickness = 10 * (sizes.smallest + sizes.largest) if dim == 2 else 1.0
