@@ -239,7 +239,7 @@ def save_tradeoff(
                 )
         elif len(own) > 1:
             axes.plot(
-                x, y, "o-", ms=3.5, lw=0.9, color=COLOURS[k % len(COLOURS)], label=setting,
+                x, y, marker="o", ms=3.5, lw=0.9, color=COLOURS[k % len(COLOURS)], label=setting,
                 ls="-" if k < len(COLOURS) else "--",
             )  # fmt: skip
     if apart > 0:
