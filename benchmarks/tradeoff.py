@@ -168,7 +168,7 @@ def macro(quick: bool) -> list[dict[str, object]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="fewer rows, a faster reference run")
+    parser.add_argument("--quick", action="store_true", help="fewer values, less strain")
     parser.add_argument("--output", type=Path, help="folder for table, picture and summary")
     args = parser.parse_args()
     packing = load_packing(YADE / "packing.h5")

@@ -22,7 +22,7 @@ from .dem.preparation import library, random_packing, settle
 from .homogenised_law import HomogenisedLaw
 
 #: Far slower than any use: I and tolerance of the run that all others are compared with.
-SLOWEST = Accuracy(inertial_number=3e-6, tolerance=1e-5, hold_limit=200_000)
+SLOWEST = Accuracy(inertial_number=1e-5, tolerance=1e-5, hold_limit=200_000)
 #: The preset that single settings are changed in.
 BASE = "balanced"
 #: On the lateral stress of the drained test, over the pressure.
@@ -188,17 +188,16 @@ def settings(quick: bool) -> Iterator[Case]:
     def values(every: Sequence[float], few: Sequence[float]) -> Sequence[float]:
         return few if quick else every
 
-    for number in values(
-        (3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1), (1e-4, 1e-3, 1e-2, 1e-1)
-    ):
+    numbers = values((1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1), (1e-4, 1e-3, 1e-2, 1e-1))
+    for number in numbers:
         yield Case("inertial number", f"{number:g}", base.but(inertial_number=number))
     limit = SLOWEST.hold_limit
-    for tolerance in values((1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1), (1e-3, 1e-2, 1e-1)):
+    for tolerance in values((1e-4, 1e-3, 1e-2, 1e-1), (1e-3, 1e-2, 1e-1)):
         accuracy = base.but(tolerance=tolerance, hold_limit=limit)
         yield Case("equilibrium tolerance", f"{tolerance:g}", accuracy)
-    for share in values((0.1, 0.3, 0.6, 0.8, 0.95, 1.0), (0.3, 0.95)):
+    for share in values((0.2, 0.5, 0.95, 1.0), (0.3, 0.95)):
         yield Case("time step", f"{share:g}", base.but(time_step=share))
-    for damping in values((0.05, 0.1, 0.3, 0.5, 0.7), (0.1, 0.3, 0.7)):
+    for damping in values((0.1, 0.3, 0.5, 0.7), (0.1, 0.3, 0.7)):
         yield Case("damping while loading", f"{damping:g}", base.but(damping=damping))
     for damping in values((0.2, 0.5, 0.8), (0.5, 0.8)):
         yield Case("damping while held", f"{damping:g}", base.but(hold_damping=damping))
@@ -218,10 +217,10 @@ def physics(packings: Sequence[Packing], quick: bool) -> Iterator[Case]:
         return lambda packing: settle(packing.but(law=law), pressure)
 
     if linear:
-        for times in (10.0, 1.0, 0.1) if quick else (100.0, 10.0, 3.0, 1.0, 0.3, 0.1):
+        for times in (10.0, 1.0, 0.1) if quick else (10.0, 3.0, 1.0, 0.3, 0.1):
             yield Case("stiffness level", f"{times * own:.3g}", base, stiffer(times))
     if first.dim == 2:
-        for grains in (400, 100) if quick else (1600, 900, 400, 225, 100):
+        for grains in (400, 100) if quick else (900, 400, 225, 100):
             yield Case(
                 "grains per packing", f"{grains}", base, _regrained(first, grains, pressure),
                 other_grains=True,
@@ -277,7 +276,7 @@ def study(
     Args:
         packing: to start from. path: that it is led along.
         count: packings that errors are averaged over, and whose scatter they are compared with.
-        quick: fewer values, a faster reference run.
+        quick: fewer values.
         threads: for the reference run; the others take one, so that their time can be compared.
         show: called with each row, if given.
 
@@ -285,8 +284,7 @@ def study(
     """
     packings = family(packing, count)
     run(packings[:1], replace(path, increments=1, drained=path.step), PRESETS["fast"])  # compiles
-    slowest = SLOWEST.but(inertial_number=1e-5) if quick else SLOWEST
-    reference = run(packings, path, slowest, threads=threads)
+    reference = run(packings, path, SLOWEST, threads=threads)
     sweep = []
     for case in (*settings(quick), *physics(packings, quick)):
         changed = packings if case.change is None else [case.change(p) for p in packings]
@@ -305,7 +303,7 @@ def study(
         "scatter": apart,
         "packings": count,
         "reference": {
-            "inertial_number": slowest.inertial_number, "tolerance": slowest.tolerance,
+            "inertial_number": SLOWEST.inertial_number, "tolerance": SLOWEST.tolerance,
             "dem_steps": reference.steps,
         },
         "sentences": sentences(sweep, apart),

@@ -30,7 +30,7 @@ def add(commands) -> None:
     parser.add_argument(
         "--packings", type=int, default=5, help="this one and others of the same grains"
     )
-    parser.add_argument("--quick", action="store_true", help="fewer values, a faster reference")
+    parser.add_argument("--quick", action="store_true", help="fewer values")
     parser.add_argument("--output", type=Path, default=Path("results/tradeoff"), help="folder")
     common.add_threads(parser)
     common.add_quiet(parser)
