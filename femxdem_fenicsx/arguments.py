@@ -84,8 +84,8 @@ def add_grains(parser: argparse.ArgumentParser, count: int, noun: str) -> argpar
     return grains
 
 
-#: The operators that win, by dimension of the packing (docs/operators.md).
-DEFAULT_OPERATORS = {2: "PSTLO", 3: "UKO"}
+#: The operator that wins, for disks and spheres (docs/operators.md).
+DEFAULT_OPERATOR = "PSTLO-secant"
 
 
 def add_compression(parser: argparse.ArgumentParser, strain: float) -> None:
@@ -103,10 +103,7 @@ def add_solution(parser: argparse.ArgumentParser) -> None:
     solution.add_argument(
         "--time-step", type=float, help="share of the stability limit  (default: the preset's)"
     )
-    solution.add_argument(
-        "--operator",
-        help=f"{', '.join(OPERATORS)}  (default: PSTLO for disks, UKO for spheres)",
-    )
+    solution.add_argument("--operator", default=DEFAULT_OPERATOR, help=f"{', '.join(OPERATORS)}")
     solution.add_argument("--tolerance", type=float, default=1e-2, help="FNORM/RNORM")
     solution.add_argument(
         "--displacement-tolerance", type=float, help="on the last correction too (Guo-Zhao: 1e-2)"
@@ -150,8 +147,7 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
     _check_gradient(args, dim)
     accuracy_of(args)
     convergence_of(args)
-    if args.operator is not None:
-        operator(args.operator)
+    operator(args.operator)
     if not 0 < args.step <= args.strain < 1:
         raise ValueError(
             f"--step {args.step} and --strain {args.strain}: need 0 < step <= strain < 1"
@@ -269,10 +265,9 @@ def law_for(
 ) -> HomogenisedLaw | DistributedLaw:
     """A copy of the packing at each of the points; on several ranks each has a home rank."""
     threads = script.threads_per_rank(comm) if args.threads is None else args.threads
-    name = args.operator or DEFAULT_OPERATORS[packing.dim]
 
     def make(numbers: np.ndarray) -> HomogenisedLaw:
-        return HomogenisedLaw(packing, len(numbers), accuracy_of(args), name, threads)
+        return HomogenisedLaw(packing, len(numbers), accuracy_of(args), args.operator, threads)
 
     if comm.size == 1:
         return make(points.index)
