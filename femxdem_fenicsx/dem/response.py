@@ -13,6 +13,7 @@ from .contacts import ContactLaw
 from .dynamics import NO_ROOM, OK, TOO_MANY_CONTACTS, Material, Workspace, workspace
 from .homogenisation import fabric, largest_overlap, stress, touching, unbalance_of
 from .loading import (
+    FEWEST_STEPS,
     Loading,
     Outcome,
     deform_in_turn,
@@ -75,7 +76,7 @@ class Response:
         committed, trial: the two states. latest: the one of the two that was computed last.
         outcome: what was measured at `latest`. committed_outcome: the same at `committed`.
         pressure: (B,) Pa, of the committed state. time_step: (B,) s, longest that is stable there.
-        commits: how often a trial became the state.
+        commits: how often a trial became the state. held: (B,) steps of each packing's last hold.
     """
 
     def __init__(self, packing: Packing, size: int, accuracy: Accuracy, threads: int = 1):
@@ -114,7 +115,7 @@ class Response:
         )
         self.committed_outcome.vibration[:] = self._first_vibration
         self.commits = 0
-        self.cost = np.zeros(size, np.int64)
+        self.held = np.zeros(size, np.int64)
         self.discard()
 
     @property
@@ -134,7 +135,7 @@ class Response:
         FloatingPointError for a packing that collapses.
         """
         F = np.ascontiguousarray(F, dtype=np.float64)
-        still = (F == np.eye(F.shape[-1])).all((1, 2)) & self.committed_outcome.at_rest
+        still = self._stand_still(F)
         self.outcome = self._run(F, np.arange(self.size), self.trial.state, still=still)
         self.latest = self.trial
         for new, old in zip(self.trial.state, self.committed.state, strict=True):
@@ -142,9 +143,30 @@ class Response:
         for new, old in zip(self.outcome, self.committed_outcome, strict=True):
             new[still] = old[still]
         self.outcome.loading_steps[still] = self.outcome.hold_steps[still] = 0
-        steps = self.outcome.loading_steps + self.outcome.hold_steps
-        self.cost = np.where(still, self.cost, steps)
+        self.held = np.where(still, self.held, self.outcome.hold_steps)
         return self.outcome
+
+    def _stand_still(self, F: np.ndarray) -> np.ndarray:
+        """(B,) bool: at rest, and asked for nothing."""
+        return (F == np.eye(self.committed.box.shape[-1])).all((1, 2)) & (
+            self.committed_outcome.at_rest
+        )
+
+    def expected_steps(self, F: np.ndarray) -> np.ndarray:
+        """Steps (B,) that `deform` will take at F (B, d, d): to load, exactly; to hold, as before.
+
+        Raises ValueError for an F that is not a deformation.
+        """
+        steps = self._expected_steps(shear_of(logarithm(F)), np.arange(self.size), self.loading)
+        return np.where(self._stand_still(F), 0, steps)
+
+    def _expected_steps(self, shear, packings, loading: Loading) -> np.ndarray:
+        pressure = np.maximum(self.pressure[packings], loading.least_pressure)
+        speed = loading.inertial_number * np.sqrt(pressure / loading.density)
+        duration = shear * loading.mean_diameter / speed  # tau of eq. 18
+        stable = self.time_step[packings] / np.sqrt(1.0 + loading.damping)
+        steps = np.ceil(duration / stable).astype(np.int64)
+        return np.maximum(steps, FEWEST_STEPS) + self.held[packings]
 
     def probe(
         self,
@@ -177,14 +199,14 @@ class Response:
         growth = np.maximum(self.outcome.vibration / self._first_vibration, 1.0)
         self.time_step = self.loading.time_step / np.sqrt(growth)
 
-    def restore(self, state: dict[str, np.ndarray], outcome: Outcome, cost: np.ndarray) -> None:
-        """Take over committed arrays of `PackingBatch.STATE`, what was measured, and the cost.
+    def restore(self, state: dict[str, np.ndarray], outcome: Outcome, held: np.ndarray) -> None:
+        """Take over committed arrays of `PackingBatch.STATE`, what was measured, and the holds.
 
         Of any number of packings, which have the template's grains. The trial is forgotten.
         """
         room = {name: np.empty_like(array) for name, array in state.items()}
         self.committed, self.trial = (replace(self.committed, **s) for s in (state, room))
-        self.committed_outcome, self.cost = outcome, cost
+        self.committed_outcome, self.held = outcome, held
         self.discard()
 
     def _run(
@@ -200,7 +222,8 @@ class Response:
         outcome = Outcome.of(len(packings), self.committed.template.dim)
         places = np.zeros_like(packings) if new is None else packings
         status = np.full(len(packings), NO_ROOM)
-        waiting = np.argsort(-self.cost[packings], kind="stable")  # expensive ones first
+        expected = self._expected_steps(shear, packings, loading)
+        waiting = np.argsort(-expected, kind="stable")  # expensive ones first
         waiting = waiting[~np.broadcast_to(still, waiting.shape)[waiting]]
         while len(waiting):
             tickets = np.zeros(1, np.int64)

@@ -16,8 +16,8 @@ from petsc4py import PETSc
 from ..collective import together
 from ..law import InadmissibleDeformation
 from . import _dolfinx
-from .anderson import Anderson
 from .external_operator import ExternalOperator
+from .learnt import Learnt, cell_rows, from_cell_rows
 from .mesh_motion import MeshMotion
 from .options import PREFIX, defaults
 
@@ -163,9 +163,9 @@ class Problem:
         self._last_step: tuple[float, np.ndarray] | None = None
         self._size = self._x.local_size
         self.first_guess = first_guess
-        self._assembled = False
         self._last_forces: PETSc.Vec | None = None
         self.snes = self._create_snes(prefix)
+        self._learnt = Learnt(self.snes, self._matrix, u)
 
     def _create_snes(self, prefix: str) -> PETSc.SNES:
         snes = PETSc.SNES().create(self._comm)
@@ -233,6 +233,7 @@ class Problem:
         self.motion.move()
         self._last_step = (step, self.u.x.array[: self._size].copy())
         self._last_forces = self._forces.copy()
+        self._learnt.keep()
         self.u.x.array[:] = 0.0
         self._now = None
 
@@ -249,50 +250,40 @@ class Problem:
         return np.nan if self._now is None else self._now.ratio
 
     def forget(self) -> None:
-        """Forget what the solver has learnt, but not the last increment: Jacobian, differences.
-
-        Where a run is to go on from a checkpoint to the same bits, it must forget at it too.
-        """
-        self._assembled = False
-        self.snes.getKSP().reset()  # MUMPS orders by the values of the first matrix
-        context = self.snes.getPythonContext() if self.snes.getType() == "python" else None
-        if isinstance(context, Anderson):
-            context.forget()
+        """Forget what the solver has learnt, but not the last increment: Jacobian, differences."""
+        self._learnt.forget()
 
     def save(self, group: h5py.Group) -> None:
         """Write what the next step starts from into an HDF5 group: a row per owned cell.
 
-        Between steps alone: u is used for it, and is zero again afterwards. What the solver has
-        learnt is not saved, and forgotten here, so that a resumed run goes on as this one does.
+        That is the end of the last accepted step, and what the solver had learnt by then. Between
+        steps alone: u is used for it, and is zero again afterwards.
         """
         owned = slice(_dolfinx.number_of_cells(self._mesh)[0])
-        group["increment"] = self._between_steps()[owned]
-        group["step"] = np.full(owned.stop, 0.0 if self._last_step is None else self._last_step[0])
+        step, increment = self._last_step or (0.0, np.zeros(self._size))
+        group["increment"] = cell_rows(self.u, increment)[owned]
+        group["step"] = np.full(owned.stop, step)
         group["displacement"] = _dolfinx.cell_values(self.motion.displacement)[owned]
-        self.forget()
         group["geometry"] = self._mesh.geometry.x[_dolfinx.geometry_dofmap(self._mesh)][owned]
+        if self._last_step is not None and self._last_forces is not None:
+            group["forces"] = cell_rows(self.u, self._last_forces.array_r)[owned]
+        self._learnt.save(group)
 
     def load(self, group: h5py.Group) -> None:
         """Read back what `save` wrote: a row per cell of this rank, ghosts included."""
-        _dolfinx.set_cell_values(self.u, group["increment"][()])
+        increment = from_cell_rows(self.u, group["increment"][()])
         step = float(group["step"][0]) if len(group["step"]) else 0.0
         step = self._comm.allreduce(step, MPI.MAX)
-        self._last_step = (step, self.u.x.array[: self._size].copy()) if step > 0 else None
+        self._last_step = (step, increment) if step > 0 else None
         self._last_forces = None
-        self.forget()
-        self.u.x.array[:] = 0.0
+        if "forces" in group:  # not in the first format
+            self._last_forces = self._forces.duplicate()
+            self._last_forces.array[:] = from_cell_rows(self.u, group["forces"][()])
+        self._learnt.load(group)
         self._now = None
         _dolfinx.set_cell_values(self.motion.displacement, group["displacement"][()])
         nodes = _dolfinx.geometry_dofmap(self._mesh)
         self._mesh.geometry.x[nodes] = group["geometry"][()]
-
-    def _between_steps(self) -> np.ndarray:
-        """The last increment by cell, (c, k)."""
-        if self._last_step is not None:
-            self._set_u(self._last_step[1])
-        values = _dolfinx.cell_values(self.u)
-        self.u.x.array[:] = 0.0
-        return values
 
     def reaction(self, dofs: np.ndarray) -> float:
         """Sum of the reactions (internal minus external nodal forces) at `dofs`, N per m.
@@ -316,7 +307,7 @@ class Problem:
 
     def _left_over(self) -> np.ndarray:
         """What the last step left out of balance, as a displacement, by the last Jacobian."""
-        if not self._assembled:
+        if not self._learnt.assembled:
             return np.zeros(self._size)
         right = self._last_forces.copy()
         right.array[self._constrained] = 0.0
@@ -373,7 +364,7 @@ class Problem:
         except Exception as error:
             self._failure = error
             raise
-        self._assembled = True
+        self._learnt.renew()
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         reason = PETSc.SNES.ConvergedReason
