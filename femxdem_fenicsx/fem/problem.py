@@ -28,6 +28,8 @@ REASONS = {
 }
 
 
+#: A change of the increment goes on if its error as a forecast was this share of that of none.
+CLEARLY = 0.7
 #: What the iteration of a step can start from, see `Problem`.
 FIRST_GUESSES = ("increment", "tangent")
 
@@ -121,8 +123,9 @@ class Problem:
             steps in place (through a Constant or a Function).
         convergence: criteria.
         prefix: of the PETSc options.
-        first_guess: "increment", the last increment scaled, corrected by what the last step left
-            out of balance; or "tangent", the linear response to the prescribed values.
+        first_guess: "increment", the last increment scaled, with its change if that goes on, less
+            what the last step left out of balance; or "tangent", the linear response to the
+            prescribed values.
 
     Raises:
         ValueError: an unknown first guess.
@@ -162,6 +165,7 @@ class Problem:
         self._failure: Exception | None = None
         self._last_step: tuple[float, np.ndarray] | None = None
         self._size = self._x.local_size
+        self._change, self._goes_on = np.zeros(self._size), False
         self.first_guess = first_guess
         self._last_forces: PETSc.Vec | None = None
         self.snes = self._create_snes(prefix)
@@ -181,9 +185,10 @@ class Problem:
     def solve(self, step: float = 1.0) -> Solution:
         """Solve for u under the present values of the boundary conditions and loads.
 
-        The first guess is the last increment scaled by the ratio of the steps, less what the last
-        step left out of balance over the last Jacobian, which costs no evaluation. Without a last
-        increment it is the linear response to the prescribed values.
+        The first guess is the last increment scaled by the ratio of the steps, with its change
+        from the one before where that goes on, less what the last step left out of balance over the
+        last Jacobian, which costs no evaluation. Without a last increment it is the linear response
+        to the prescribed values.
 
         Args:
             step: size of this step on the load path; it scales the first guess, nothing else.
@@ -231,6 +236,7 @@ class Problem:
         self._evaluate_at_u()
         together(self._comm, self.operator.commit)
         self.motion.move()
+        self._note_trend(step)
         self._last_step = (step, self.u.x.array[: self._size].copy())
         self._last_forces = self._forces.copy()
         self._learnt.keep()
@@ -263,6 +269,8 @@ class Problem:
         step, increment = self._last_step or (0.0, np.zeros(self._size))
         group["increment"] = cell_rows(self.u, increment)[owned]
         group["step"] = np.full(owned.stop, step)
+        group["change"] = cell_rows(self.u, self._change)[owned]
+        group["change_goes_on"] = np.full(owned.stop, self._goes_on)
         group["displacement"] = _dolfinx.cell_values(self.motion.displacement)[owned]
         group["geometry"] = self._mesh.geometry.x[_dolfinx.geometry_dofmap(self._mesh)][owned]
         if self._last_step is not None and self._last_forces is not None:
@@ -276,7 +284,11 @@ class Problem:
         step = self._comm.allreduce(step, MPI.MAX)
         self._last_step = (step, increment) if step > 0 else None
         self._last_forces = None
-        if "forces" in group:  # not in the first format
+        if "change" in group:  # not in the first format
+            self._change = from_cell_rows(self.u, group["change"][()])
+            goes_on = bool(group["change_goes_on"][()].any())
+            self._goes_on = self._comm.allreduce(goes_on, MPI.LOR)
+        if "forces" in group:  # neither
             self._last_forces = self._forces.duplicate()
             self._last_forces.array[:] = from_cell_rows(self.u, group["forces"][()])
         self._learnt.load(group)
@@ -302,8 +314,23 @@ class Problem:
         else:
             last, increment = self._last_step
             guess = step / last * increment - self._left_over()
+            if self._goes_on:
+                guess += step * self._change
         guess[self._constrained] = self._values
         return guess
+
+    def _note_trend(self, step: float) -> None:
+        """How the increment per unit of load has changed, and whether that foretells anything.
+
+        It is taken to go on where the change before it would have foretold this step clearly better
+        than no change: up to the peak it does, behind it the grains rearrange.
+        """
+        if self._last_step is None:
+            return
+        last, increment = self._last_step
+        change = self.u.x.array[: self._size] / step - increment / last
+        constant, linear = self._norms(change, change - self._change)
+        self._change, self._goes_on = change, linear < CLEARLY * constant
 
     def _left_over(self) -> np.ndarray:
         """What the last step left out of balance, as a displacement, by the last Jacobian."""
