@@ -12,7 +12,7 @@ export OMPI_MCA_hwloc_base_binding_policy := none
 export PRTE_MCA_hwloc_default_binding_policy := none
 export OMPI_MCA_btl := ^tcp
 
-.PHONY: help setup biaxial test lint format figures clean
+.PHONY: help setup biaxial test lint format tradeoff figures clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):[^#]*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 18
@@ -32,6 +32,9 @@ lint: setup ## what CI checks of the style
 format: setup ## bring the sources into that style
 	$(PYTHON) -m ruff format .
 	$(PYTHON) -m ruff check --fix .
+
+tradeoff: setup ## measure speed against accuracy again, for docs/accuracy.md
+	$(PYTHON) docs/make_figures.py tradeoff
 
 figures: setup ## draw the pictures of the documentation again
 	$(PYTHON) docs/make_figures.py

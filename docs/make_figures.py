@@ -14,21 +14,20 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
 FIGURES = ROOT / "docs" / "figures"
 sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
-import accuracy  # noqa: E402
+import tradeoff  # noqa: E402
 
-from femxdem_fenicsx import plotting  # noqa: E402
+from femxdem_fenicsx import lab_plots, plotting  # noqa: E402
 from femxdem_fenicsx.dem.accuracy import PRESETS  # noqa: E402
 from femxdem_fenicsx.dem.files import load_packing  # noqa: E402
 
 OURS, THEIRS, THIRD = plotting.COLOURS[:3]
 #: The packing of the demo in the pictures.
-PACKING = str(accuracy.YADE / "packing.h5")
+PACKING = str(tradeoff.YADE / "packing.h5")
 
 
 def python(script: str, *arguments: str) -> str:
@@ -76,7 +75,7 @@ def run_coupled() -> None:
     with tempfile.TemporaryDirectory() as folder:
         python(
             "demos/biaxial.py", "--quiet", "--output", folder, "--formulation", "small",
-            "--packing", str(accuracy.YADE / "packing.h5"), "--element", "Q8",
+            "--packing", str(tradeoff.YADE / "packing.h5"), "--element", "Q8",
             "--mesh", "2", "4", "--strain", "0.046",
         )  # fmt: skip
         rows = np.genfromtxt(Path(folder) / "history.csv", delimiter=",", names=True)
@@ -86,7 +85,7 @@ def run_coupled() -> None:
 
 @matplotlib.rc_context(plotting.STYLE)
 def draw_coupled() -> None:
-    ours, theirs = table("coupled_2x4"), accuracy.yade("steps_2x4")
+    ours, theirs = table("coupled_2x4"), tradeoff.yade("steps_2x4")
     strain = -100 * theirs["axial_strain"]
     figure = Figure((3.5, 4.2), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.4, 1])
@@ -120,10 +119,10 @@ def draw_coupled() -> None:
 
 
 def run_element_tests() -> None:
-    packing, balanced = load_packing(accuracy.YADE / "packing.h5"), PRESETS["balanced"]
-    rows = accuracy.drained(packing, balanced, 0.05)
+    packing, balanced = load_packing(tradeoff.YADE / "packing.h5"), PRESETS["balanced"]
+    rows = tradeoff.drained(packing, balanced, 0.05)
     keep("drained", "axial_strain,stress_ratio,volumetric_strain", rows)
-    rows = accuracy.isochoric(packing, balanced, 0.05)
+    rows = tradeoff.isochoric(packing, balanced, 0.05)
     keep("isochoric", "log_strain,sigma_xx_Pa,sigma_yy_Pa", rows)
 
 
@@ -131,7 +130,7 @@ def run_element_tests() -> None:
 def draw_element_tests() -> None:
     others = []
     for rate in ("1e-7", "1e-6"):
-        rows = accuracy.yade(f"drained_{rate}")
+        rows = tradeoff.yade(f"drained_{rate}")
         rows = rows[-rows["axial_eng_strain"] <= 0.05]
         curve = -rows["axial_eng_strain"], rows["stress_ratio_syy_over_sxx"]
         label = f"YADE, {rate} per DEM step"
@@ -146,7 +145,7 @@ def draw_element_tests() -> None:
     )
     figure = Figure((3.5, 2.4), layout="constrained")
     axes = figure.subplots()
-    ours, theirs = table("isochoric"), accuracy.yade("isochoric")
+    ours, theirs = table("isochoric"), tradeoff.yade("isochoric")
     for k, name in enumerate("xy"):
         start = theirs[f"s{name}{name}_Pa"][0]
         axes.plot(
@@ -170,53 +169,43 @@ def draw_element_tests() -> None:
 # Error against cost of the micro scale
 
 
-def run_accuracy() -> None:
-    output = python("benchmarks/accuracy.py").splitlines()[-1]
-    (FIGURES / "accuracy.json").write_text(json.dumps(json.loads(output), indent=1) + "\n")
+def run_tradeoff() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        python("benchmarks/tradeoff.py", "--output", folder)
+        (FIGURES / "tradeoff.json").write_text((Path(folder) / "tradeoff.json").read_text())
 
 
-@matplotlib.rc_context(plotting.STYLE)
-def draw_accuracy() -> None:
-    rows = {
-        row["varied"]: row for row in json.loads((FIGURES / "accuracy.json").read_text())["rows"]
-    }
+def draw_tradeoff() -> None:
+    result = json.loads((FIGURES / "tradeoff.json").read_text())
+    lab_plots.save_tradeoff(FIGURES / "tradeoff.png", result["sweep"], result["scatter"])
+    (FIGURES / "tradeoff.md").write_text("\n".join(tradeoff_tables(result)) + "\n")
 
-    def points(names) -> tuple[list[float], list[float]]:
-        steps = [rows[name]["dem_steps_per_increment"] for name in names]
-        return steps, [100 * rows[name]["rms_stress_error"] for name in names]
 
-    figure = Figure((3.5, 2.8), layout="constrained")
-    axes = figure.subplots()
-    floor = 100 * rows["reference run at 1e-5"]["rms_stress_error"]
-    axes.axhline(floor, color="0.7", lw=0.8, zorder=1)
-    axes.annotate(
-        "two very slow runs differ by this", (3600, floor), (0, -3), textcoords="offset points",
-        ha="right", va="top", size="small", color="0.45",
-    )  # fmt: skip
-    numbers = [name for name in rows if name.startswith("inertial")]
-    axes.plot(*points(numbers), "o-", ms=3, color="0.45", lw=0.8, label="inertial number varied")
-    places = {3e-3: (-5, -3, "right"), 3e-4: (-5, -9, "right"), 3e-5: (0, 5, "center")}
-    for name, x, y in zip(numbers, *points(numbers), strict=True):
-        number = rows[name]["inertial_number"]
-        if number in places:
-            right, up, align = places[number]
-            axes.annotate(
-                f"$I = 3\\cdot 10^{{{np.log10(number / 3):.0f}}}$", (x, y), (right, up),
-                textcoords="offset points", size="small", color="0.35", ha=align,
-            )  # fmt: skip
-    for colour, preset in zip((THEIRS, OURS, THIRD), PRESETS, strict=True):
-        ((x,), (y,)) = points([f"preset {preset}"])
-        axes.plot(x, y, "o", ms=6, color=colour, label=f"preset {preset}", zorder=3)
-        ((x,), (y,)) = points([f"preset {preset}, from rest"])
-        axes.plot(x, y, "o", ms=6, mfc="none", mec=colour, zorder=3)
-    axes.plot([], [], "o", ms=6, mfc="none", mec="0.4", label="the same, each increment from rest")
-    axes.set(xscale="log", yscale="log", xlim=(16, 4500), ylim=(0.2, 3.2))
-    axes.set_yticks([0.2, 0.5, 1, 2], ["0.2", "0.5", "1", "2"])
-    axes.yaxis.set_minor_formatter(NullFormatter())
-    axes.set_xlabel("DEM steps per increment of 0.1 %")
-    axes.set_ylabel("rms error of the stress (%)")
-    axes.legend(loc="upper right", fontsize="small")
-    figure.savefig(FIGURES / "accuracy.png")
+def tradeoff_tables(result: dict) -> list[str]:
+    """The tables of docs/accuracy.md, as Markdown."""
+    lines = [
+        "| setting | value | DEM steps | rms error of the stress | error of the peak |"
+        " of the drained curve | of its void ratio | CPU µs |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for row in result["sweep"]:
+        lines.append(
+            f"| {row['setting']} | {row['value']} | {row['dem_steps']:.0f} |"
+            f" {row['rms_stress_error']:.2%} ± {row['spread_over_packings']:.2%} |"
+            f" {row['peak_error']:+.1%} | {row['curve_error']:.1%} |"
+            f" {row['void_ratio_error']:.4f} | {1e6 * row['seconds']:.0f} |"
+        )
+    lines += [
+        "", "| setting | value | evaluations | 1000 DEM steps | error of the curve | of the peak |"
+        " at the end | s |", "|---|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for row in result["macro"]:
+        lines.append(
+            f"| {row['setting']} | {row['value']} | {row['evaluations']} |"
+            f" {1e-3 * row['dem_steps']:.0f} | {row['curve_error']:.2%} |"
+            f" {row['peak_error']:+.2%} | {row['last_error']:+.2%} | {row['seconds']:.1f} |"
+        )
+    return [*lines, "", *(f"- {sentence}" for sentence in result["sentences"])]
 
 
 # Bands of a softening law, and of grains, on two meshes
@@ -469,7 +458,7 @@ def draw_bands() -> None:
 
 
 NAMES = (
-    "accuracy", "element_tests", "coupled", "biaxial", "operators", "laboratory",
+    "tradeoff", "element_tests", "coupled", "biaxial", "operators", "laboratory",
     "representativity", "friction", "second_gradient", "bands",
 )  # fmt: skip
 

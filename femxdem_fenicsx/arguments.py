@@ -146,6 +146,7 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
     element(args.element, args.points).check_dim(dim)
     _check_gradient(args, dim)
     accuracy_of(args)
+    convergence_of(args)
     operator(args.operator)
     if not 0 < args.step <= args.strain < 1:
         raise ValueError(

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from . import __version__, terminal
-from .commands import calibrate, element_test, packing
+from .commands import calibrate, element_test, packing, tradeoff
 
 
 def parser() -> argparse.ArgumentParser:
@@ -15,7 +15,7 @@ def parser() -> argparse.ArgumentParser:
     top = Parser(prog="femxdem", description="Laboratory for packings of grains.")
     top.add_argument("--version", action="version", version=f"femxdem {__version__}")
     commands = top.add_subparsers(metavar="COMMAND", required=True, parser_class=Parser)
-    for command in (packing, element_test, calibrate):
+    for command in (packing, element_test, calibrate, tradeoff):
         command.add(commands)
     return top
 

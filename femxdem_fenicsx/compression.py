@@ -17,12 +17,13 @@ from .fem.stepping import LoadStepping, StepRecord
 from .homogenised_law import HomogenisedLaw
 from .load_path import Run, Scene, follow
 from .plane_strain import PlaneStrain
+from .reached import Reached
 
 #: Of history.csv; a plane-strain run has the mean out-of-plane stress at the end of the row.
 COLUMNS = (
     "step", "axial_strain", "stress_ratio", "axial_stress_Pa", "volumetric_strain", "void_ratio",
     "iterations", "evaluations", "residual", "converged", "cuts", "dem_steps", "unfinished_holds",
-    "worst_unbalance", "failed_points", "seconds",
+    "worst_unbalance", "largest_inertial_number", "largest_overlap", "failed_points", "seconds",
 )  # fmt: skip
 
 
@@ -146,6 +147,8 @@ def row_of(specimen: Specimen, record: StepRecord) -> dict[str, float]:
         "converged": record.converged,
         "cuts": record.cuts,
         "dem_steps": comm.allreduce(law.tally.steps),
+        "largest_inertial_number": comm.allreduce(law.tally.largest_inertial_number, MPI.MAX),
+        "largest_overlap": comm.allreduce(law.tally.worst_overlap, MPI.MAX),
         "unfinished_holds": comm.allreduce(law.tally.unfinished),
         "worst_unbalance": comm.allreduce(law.tally.worst_unbalance, MPI.MAX),
         "failed_points": comm.allreduce(int(law.failed.sum())),
@@ -181,6 +184,9 @@ def tell(title: str, specimen: Specimen, run: Run, seconds: float, quiet: bool =
     comm = specimen.mesh.comm
     if run.rows:
         script.print_table(comm, title, summary(specimen, run, seconds), quiet)
+        warning = reached_by(specimen).warning
+        if warning and comm.rank == 0:
+            print(warning)
     if run.signal:
         if comm.rank == 0:
             print(f"{run.ending}; --resume goes on with it")
@@ -192,6 +198,12 @@ def tell(title: str, specimen: Specimen, run: Run, seconds: float, quiet: bool =
     return 0
 
 
+def reached_by(specimen: Specimen) -> Reached:
+    """What the packings of all ranks reached."""
+    comm = specimen.mesh.comm
+    return Reached.by(specimen.law, comm.allreduce, lambda x: comm.allreduce(x, MPI.MAX))
+
+
 def summary(specimen: Specimen, run: Run, seconds: float) -> dict[str, str]:
     """The table at the end."""
     comm, tally = specimen.mesh.comm, specimen.law.tally
@@ -199,7 +211,6 @@ def summary(specimen: Specimen, run: Run, seconds: float) -> dict[str, str]:
     peak = max(rows, key=lambda row: row["stress_ratio"])
     angle = np.degrees(np.arcsin((peak["stress_ratio"] - 1) / (peak["stress_ratio"] + 1)))
     dem = comm.allreduce(tally.seconds + tally.tangent_seconds, MPI.MAX)
-    holds = comm.allreduce(tally.unfinished) / max(comm.allreduce(tally.packings), 1)
     return {
         "peak stress ratio": f"{peak['stress_ratio']:.3f}",
         "peak friction angle": f"{angle:.1f} degrees",
@@ -211,11 +222,7 @@ def summary(specimen: Specimen, run: Run, seconds: float) -> dict[str, str]:
         "load steps": f"{outcome.steps}, {outcome.not_converged} of them not converged",
         "iterations": f"{outcome.iterations} ({outcome.evaluations} evaluations of the law)",
         "cut steps": f"{outcome.cuts}",
-        "holds that ended at their limit": f"{holds:.1%}",
-        "worst unbalance, largest overlap": (
-            f"{comm.allreduce(tally.worst_unbalance, MPI.MAX):.1e},"
-            f" {comm.allreduce(tally.worst_overlap, MPI.MAX):.1e}"
-        ),
+        **reached_by(specimen).table,
         "failed points": f"{rows[-1]['failed_points']}",
         "seconds in DEM / FEM / the rest": (
             f"{dem:.1f} / {run.solving - dem:.1f} / {seconds - run.solving:.1f}"

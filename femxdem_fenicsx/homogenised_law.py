@@ -20,6 +20,8 @@ FAILED_STIFFNESS = 1e-2
 #: by the grains until 1 and 2 ranks part (docs/accuracy.md).
 STRAIN_QUANTUM = 2.0**-30
 
+#: What is zero in the state of a program that did not know it.
+NOT_IN_THE_FIRST_FORMAT = ("outcome/inertial_number", "outcome/vibration")
 
 #: What a `Tally` knows of each packing.
 COUNTS = np.dtype(
@@ -29,6 +31,7 @@ COUNTS = np.dtype(
         ("unfinished", np.int64),
         ("unbalance", np.float64),
         ("overlap", np.float64),
+        ("inertial_number", np.float64),
     ]
 )
 
@@ -47,7 +50,8 @@ class Tally:
     Attributes:
         by_packing: (n,) `COUNTS`: evaluations; steps of the DEM; evaluations that ended at the
             hold limit; the largest unbalance left by any (Desrues eq. 19); the largest overlap of
-            a contact over its grains' mean diameter. It moves with the packings.
+            a contact over its grains' mean diameter; the largest inertial number reached. It moves
+            with the packings.
         evaluations: of the batch. seconds: spent in them. tangent_seconds: in tangents.
     """
 
@@ -66,8 +70,8 @@ class Tally:
         counts["evaluations"] += 1
         counts["steps"] += outcome.loading_steps + outcome.hold_steps
         counts["unfinished"] += ~outcome.at_rest
-        np.maximum(counts["unbalance"], outcome.unbalance, out=counts["unbalance"])
-        np.maximum(counts["overlap"], outcome.overlap, out=counts["overlap"])
+        for name in ("unbalance", "overlap", "inertial_number"):
+            np.maximum(counts[name], getattr(outcome, name), out=counts[name])
         self.evaluations += 1
         self.seconds += seconds
 
@@ -95,6 +99,11 @@ class Tally:
     def worst_overlap(self) -> float:
         """The largest of any contact in any evaluation."""
         return float(self.by_packing["overlap"].max(initial=0.0))
+
+    @property
+    def largest_inertial_number(self) -> float:
+        """That any packing reached in any evaluation; more than asked for where pressure fell."""
+        return float(self.by_packing["inertial_number"].max(initial=0.0))
 
 
 class HomogenisedLaw:
@@ -261,6 +270,12 @@ class HomogenisedLaw:
                 state.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None
             )
         )
+        tally = np.zeros(self.size, COUNTS)
+        for name in state["tally"].dtype.names:
+            tally[name] = state["tally"][name]
+        state["tally"] = tally
+        for name in NOT_IN_THE_FIRST_FORMAT:
+            state.setdefault(name, np.zeros(self.size))
         if state.pop("cost", None) is not None:  # of the first format
             state["held"] = state["outcome/hold_steps"].copy()
         memory = {name: state.get(f"operator/{name}") for name in self._memory}
@@ -270,7 +285,7 @@ class HomogenisedLaw:
                 array = np.zeros_like(self._memory[name])
             state[f"operator/{name}"] = array
             state[f"operator{WITH_TRIALS}/{name}"] = array.copy()
-        self.restore(state | {f"tally{WITH_TRIALS}": state["tally"].copy()})
+        self.restore(state | {f"tally{WITH_TRIALS}": tally.copy()})
 
     @property
     def threads(self) -> int:

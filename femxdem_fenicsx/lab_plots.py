@@ -9,7 +9,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from .dem.homogenisation import fabric, touching
 from .dem.packing import Packing
@@ -225,4 +225,46 @@ def save_envelope(
         axes[k].set(xlabel=f"lateral {name}{unit}", ylabel=f"axial {name}{unit}", aspect="equal")
     if upper_bound is not None:
         axes[1].legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    save(figure, path)
+
+
+@matplotlib.rc_context(STYLE)
+def save_tradeoff(
+    path: str | Path, sweep: Sequence[dict], apart: float, error: str = "rms_stress_error"
+) -> None:
+    """Error against cost, one line per setting, presets marked (`tradeoff.study`).
+
+    sweep: rows with `setting`, `value`, `same_model`, `dem_steps` and the error; those of another
+    model, and settings with one value, are left out. apart: scatter between packings.
+    """
+    figure = Figure((5.6, 3.6), layout="constrained")
+    axes = figure.subplots()
+    rows = [row for row in sweep if row["same_model"] and row[error] > 0]
+    for k, setting in enumerate(dict.fromkeys(row["setting"] for row in rows)):
+        own = [row for row in rows if row["setting"] == setting]
+        x, y = (
+            [scale * row[name] for row in own] for name, scale in (("dem_steps", 1), (error, 100))
+        )
+        if setting == "preset":
+            for row, steps, percent in zip(own, x, y, strict=True):
+                axes.plot(steps, percent, "*", ms=13, color="k", zorder=5)
+                axes.annotate(
+                    row["value"], (steps, percent), (7, 7), textcoords="offset points", zorder=6
+                )
+        elif len(own) > 1:
+            axes.plot(
+                x, y, marker="o", ms=3.5, lw=0.9, color=COLOURS[k % len(COLOURS)], label=setting,
+                ls="-" if k < len(COLOURS) else "--",
+            )  # fmt: skip
+    if apart > 0:
+        axes.axhline(100 * apart, color="0.6", lw=0.9, ls=":", label="scatter between packings")
+    axes.set(xscale="log", yscale="log")
+    axes.set_xlabel("DEM steps per increment")
+    axes.set_ylabel("rms error of the stress (%)")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FormatStrFormatter("%g"))
+        axis.set_minor_formatter(NullFormatter())
+    axes.margins(x=0.12, y=0.1)
+    axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
     save(figure, path)

@@ -220,7 +220,10 @@ def _saved(
             f"{saved.path}: the load {start.load:.6g} is reached already; ask for more than"
             f" {end:.6g} to go on"
         )
-    columns = {name: saved.common[f"history/{name}"] for name in scene.columns if start.steps}
+    unknown = np.zeros(start.steps)  # to the program that wrote it
+    columns = {
+        name: saved.common.get(f"history/{name}", unknown) for name in scene.columns if start.steps
+    }
     rows = [
         {name: values[row].item() for name, values in columns.items()} for row in range(start.steps)
     ]

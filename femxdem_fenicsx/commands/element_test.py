@@ -20,6 +20,7 @@ from ..dem.packing import Packing
 from ..dem.probes import Envelope
 from ..dem.tangents import operator
 from ..homogenised_law import HomogenisedLaw
+from ..reached import Reached
 from . import common
 
 #: Increments that the first step of a compression is cut into, to see the stiffness.
@@ -329,17 +330,24 @@ def _write(args, test: Test, made: laboratory.Specimen, early: str | None) -> in
     test.picture(folder / f"{name}.png", made.rows)
     save_packing(folder / f"{name}-end.h5", made.now)
     told = {key: value for key, value in laboratory.summary(made).items() if key in test.tells}
-    last = made.rows[-1]
+    last, reached = made.rows[-1], Reached.by(made.law)
     ran = {
         "increments": len(made.states),
         "increments_within_looser_tolerance": made.servo.loose,
         "largest_stress_error_Pa": max(state.error for state in made.states),
+        "holds_at_limit": reached.holds_at_limit,
+        "worst_unbalance": reached.unbalance,
+        "largest_inertial_number": reached.inertial_number,
+        "largest_overlap": reached.overlap,
         "void_ratios": [made.rows[0]["void_ratio"], last["void_ratio"]],
         "mean_pressures_Pa": [made.rows[0]["pressure_Pa"], last["pressure_Pa"]],
         "ended_early": early,
     }
     writing.write_json(folder / f"{name}.json", told | ran)
-    terminal.print_table(f"{name}: {folder / name}.*", _lines(told, ran), args.quiet)
+    table = _lines(told, ran) | reached.table
+    terminal.print_table(f"{name}: {folder / name}.*", table, args.quiet)
+    if reached.warning:
+        print(reached.warning)
     if early is not None:
         print(f"the test ended early: {early}")
         return terminal.LOST_CONTROLLABILITY

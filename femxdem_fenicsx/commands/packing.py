@@ -48,7 +48,11 @@ def _add_prepare(below) -> None:
     grains = parser.add_argument_group("grains")
     common.add_grains(grains)
     grains.add_argument("--grain-density", type=float, default=2650.0, help="kg/m3")
-    grains.add_argument("--thickness", type=float, help="of disks, m  (default: 0.1)")
+    grains.add_argument(
+        "--thickness",
+        type=float,
+        help="of disks, m  (default: ten mean diameters, 0.1 for 3 to 7 mm)",
+    )
     contact_arguments.add_contact_law(grains)
     state = parser.add_argument_group("state")
     state.add_argument(

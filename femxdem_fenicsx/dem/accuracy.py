@@ -12,7 +12,8 @@ class Accuracy:
         tolerance: largest net force on a grain over the largest contact force, at which the hold
             ends (Desrues eq. 19).
         hold_limit: most steps of one hold; where it is reached, that is counted and reported.
-        time_step: share of the stability limit of the packing at hand, in ]0, 1].
+        time_step: share of the stability limit of the packing at hand, damping included, in ]0, 1].
+            At 1 some holds swing on and on: contacts that form within an increment count later.
         damping: local non-viscous damping while loading (Guo-Zhao eq. 18).
         hold_damping: the same during the hold, where no motion is meant to survive.
     """
@@ -20,7 +21,7 @@ class Accuracy:
     inertial_number: float = 1e-3
     tolerance: float = 1e-2
     hold_limit: int = 4000
-    time_step: float = 0.8
+    time_step: float = 0.95
     damping: float = 0.3
     hold_damping: float = 0.5
 

@@ -21,7 +21,7 @@ from .small import product
 #: Most steps between two looks at how far the grains have moved.
 LONGEST_BLIND_RUN = 16
 
-OK, NO_ROOM = 0, 1
+OK, NO_ROOM, TOO_MANY_CONTACTS = 0, 1, 2
 
 
 class Motion(NamedTuple):

@@ -11,6 +11,11 @@ class GrainSizes(Protocol):
     """A distribution that radii can be drawn from."""
 
     @property
+    def smallest(self) -> float:
+        """Smallest radius, m."""
+        ...
+
+    @property
     def largest(self) -> float:
         """Largest radius, m."""
         ...
@@ -93,6 +98,11 @@ class SieveCurve:
         object.__setattr__(self, "passing", tuple(share))
 
     @property
+    def smallest(self) -> float:
+        """Smallest radius, m."""
+        return self.diameters[0] / 2
+
+    @property
     def largest(self) -> float:
         """Largest radius, m."""
         return self.diameters[-1] / 2
@@ -116,6 +126,11 @@ class GivenRadii:
         if radii.ndim != 1 or radii.size == 0 or not ((radii > 0) & np.isfinite(radii)).all():
             raise ValueError("given radii must be positive and finite, and one or more")
         object.__setattr__(self, "radii", tuple(radii))
+
+    @property
+    def smallest(self) -> float:
+        """Smallest radius, m."""
+        return min(self.radii)
 
     @property
     def largest(self) -> float:

@@ -99,6 +99,16 @@ def largest_overlap(contacts: Contacts, packing: Packing) -> float:
     return float((contacts.overlaps / (packing.radii[i] + packing.radii[j])).max(initial=0.0))
 
 
+def unbalance_of(contacts: Contacts, packing: Packing) -> float:
+    """Largest net force on a grain over the largest contact force (Desrues eq. 19)."""
+    net = np.zeros((packing.size, packing.dim))
+    i, j = contacts.pairs.T
+    np.add.at(net, i, contacts.forces)
+    np.subtract.at(net, j, contacts.forces)
+    largest = np.linalg.norm(contacts.forces, axis=1).max(initial=0.0)
+    return float(np.linalg.norm(net, axis=1).max() / largest) if largest > 0 else 0.0
+
+
 def _held_by(
     packing: Packing, values: np.ndarray | None, i: np.ndarray, j: np.ndarray
 ) -> np.ndarray | None:

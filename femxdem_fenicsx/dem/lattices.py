@@ -34,7 +34,7 @@ def hexagonal_packing(
         law: contact law; Guo-Zhao's by default. Where it has bonds, all contacts are cemented.
         pressure: Pa, compression positive; isotropic, or one value per axis.
         density: kg/m3.
-        thickness: m; 0.1 m by default for disks, spheres have none.
+        thickness: m; 20 radii by default for disks, spheres have none.
         dim: 2 or 3.
         tolerance: on every stress component over the pressure.
 
@@ -51,7 +51,7 @@ def hexagonal_packing(
         raise ValueError(f"a packing has 2 or 3 dimensions, not {dim}")
     places, box = _triangular(grains) if dim == 2 else _face_centred(grains)
     if thickness is None:
-        thickness = 0.1 if dim == 2 else 1.0
+        thickness = 20 * radius if dim == 2 else 1.0
     law = law or GUO_ZHAO
     load_kernels(law, dim)
     packing = Packing(

@@ -8,12 +8,12 @@ import numpy as np
 from . import dynamics
 from .accuracy import Accuracy
 from .aliasing import kernel, next_ticket
-from .dynamics import NO_ROOM, OK
+from .dynamics import NO_ROOM, OK, TOO_MANY_CONTACTS
 from .homogenisation import measure
 from .neighbours import remember
 from .packing import Packing
 from .small import product
-from .stability import stable_time_step
+from .stability import stable_time_step, stiffest_contact
 
 #: Steps of a hold between two looks at its criterion.
 HOLD_BLOCK = 25
@@ -23,6 +23,8 @@ NEARLY_AT_REST = 4.0
 FAILED_CONTACTS_PER_GRAIN = 0.5
 #: Fewest loading steps of an increment that is not zero.
 FEWEST_STEPS = 4
+#: The inertial number counts from this share of the least pressure up; without any it is infinite.
+PRESSURE_FLOOR = 1e-2
 
 
 class Loading(NamedTuple):
@@ -31,7 +33,7 @@ class Loading(NamedTuple):
     inertial_number: float
     tolerance: float
     hold_limit: int
-    time_step: float  # s, for the packing as it was prepared
+    time_step: float  # s, for the packing as it was prepared, if nothing is damped
     damping: float
     hold_damping: float
     mean_diameter: float  # m
@@ -51,6 +53,8 @@ class Outcome(NamedTuple):
     at_rest: np.ndarray  # (B,) bool: the hold ended by its criterion, not by its limit
     contacts: np.ndarray  # (B,)
     overlap: np.ndarray  # (B,) largest, over the mean diameter of its grains
+    inertial_number: np.ndarray  # (B,) at the lower one of the pressures before and behind
+    vibration: np.ndarray  # (B,) 1/s2, see `stability.stiffest_contact`
 
     @classmethod
     def of(cls, size: int, dim: int) -> "Outcome":
@@ -58,7 +62,7 @@ class Outcome(NamedTuple):
         return cls(
             np.zeros((size, dim, dim)), np.zeros((size, dim, dim)), np.zeros(size, np.int64),
             np.zeros(size, np.int64), np.zeros(size), np.zeros(size, np.bool_),
-            np.zeros(size, np.int64), np.zeros(size),
+            np.zeros(size, np.int64), np.zeros(size), np.zeros(size), np.zeros(size),
         )  # fmt: skip
 
 
@@ -143,6 +147,12 @@ def pressure_of(stress: np.ndarray) -> np.ndarray:
 
 
 @kernel
+def mean_pressure(stress):
+    """`pressure_of` one stress (d, d)."""
+    return -np.trace(stress) / len(stress)
+
+
+@kernel
 def resume_flow(motion, gradient, flow, flow_gradient):
     """Let the grains start as they flowed when last loaded, as far as L points the same way.
 
@@ -190,9 +200,12 @@ def deform(
 ):  # fmt: skip
     """Deform packing b by F (d, d) in the time of its shear, then hold it; Desrues eq. 16-19.
 
+    Damping a takes (1 + a) of the force where grains slow down, which is as a spring as much
+    stiffer: the stable time step is 1 / sqrt(1 + a) of `time_step`, the one without any.
+
     `state` and `new` hold the arrays of PackingBatches: the new state goes to `place` of `new`,
-    what is measured to `row` of `outcome`. Returns OK, or NO_ROOM where the work space is too small
-    for the contacts; what has been written then has no meaning.
+    what is measured to `row` of `outcome`. Returns OK; NO_ROOM where the work space is too small
+    for the pairs; or TOO_MANY_CONTACTS for `new`. What has been written then has no meaning.
     """
     motion, history = work.motion, work.history
     restore(b, state, work)
@@ -203,8 +216,9 @@ def deform(
     held_pressure = max(pressure, loading.least_pressure)
     speed = loading.inertial_number * math.sqrt(held_pressure / loading.density)
     duration = shear * loading.mean_diameter / speed  # tau of eq. 18
-    steps = max(math.ceil(duration / time_step), FEWEST_STEPS)
-    dt = duration / steps if duration > 0 else time_step
+    dt = time_step / math.sqrt(1.0 + loading.damping)
+    steps = max(math.ceil(duration / dt), FEWEST_STEPS)
+    dt = duration / steps if duration > 0 else dt
     gradient = log_F / (steps * dt)
     resume_flow(motion, gradient, state[2][b], state[3][b])
     if dynamics.advance(steps, dt, gradient, loading.damping, material, work) != OK:
@@ -221,12 +235,11 @@ def deform(
         weakest *= loading.mean_diameter
     still = np.zeros_like(F)
     held, ratio, at_rest = 0, 0.0, False
+    hold_dt = time_step / math.sqrt(1.0 + loading.hold_damping)
     measured, left = np.zeros_like(F), 1.0
     outcome.stress[row] = 0.0
     while not at_rest and held < loading.hold_limit:
-        status = dynamics.advance(
-            HOLD_BLOCK, time_step, still, loading.hold_damping, material, work
-        )
+        status = dynamics.advance(HOLD_BLOCK, hold_dt, still, loading.hold_damping, material, work)
         if status != OK:
             return NO_ROOM
         held += HOLD_BLOCK
@@ -248,7 +261,7 @@ def deform(
     remember(work.pairs, history)
     count = history.first[-1]
     if count > new[6].shape[1]:
-        return NO_ROOM
+        return TOO_MANY_CONTACTS
     new[0][place] = motion.box
     new[1][place] = motion.position
     new[5][place] = history.first
@@ -257,6 +270,16 @@ def deform(
     new[8][place, :, :count] = history.memory[:, :count]
     outcome.loading_steps[row], outcome.hold_steps[row] = steps, held
     outcome.unbalance[row], outcome.at_rest[row] = ratio, at_rest
+    outcome.vibration[row] = stiffest_contact(work, material, outcome.overlap[row])
+    outcome.inertial_number[row] = 0.0
+    if outcome.contacts[row] > 0:
+        lower = max(
+            min(pressure, mean_pressure(outcome.stress[row])),
+            PRESSURE_FLOOR * loading.least_pressure,
+        )
+        outcome.inertial_number[row] = (
+            shear / (steps * dt) * loading.mean_diameter * math.sqrt(loading.density / lower)
+        )
     return OK
 
 

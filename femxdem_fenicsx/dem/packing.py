@@ -14,7 +14,8 @@ SKIN = 0.08
 TOO_SKEWED = 0.6
 #: Pairs that there is room for at first, per grain, by dimension.
 PAIRS_PER_GRAIN = {2: 5, 3: 8}
-#: Contacts that there is room for, per grain. Contacts of disks form a planar graph: 3 at most.
+#: Contacts that there is room for, per grain, where a packing does not ask for more. Contacts of
+#: disks that hardly overlap form a planar graph: 3 at most.
 CONTACTS_PER_GRAIN = {2: 3, 3: 5}
 
 
@@ -227,6 +228,13 @@ class Packing:
                 high = middle
         return high
 
+    def stiffness_level(self, pressure: float) -> float:
+        """Mean diameter over the overlap of a mean contact under a pressure (Pa).
+
+        Of linear contacts it is k_n / (p t) of disks and k_n / (p d) of spheres.
+        """
+        return self.mean_diameter / self.overlap_under(pressure)
+
     def contact_modulus(self, overlap: float | None = None) -> float:
         """k_n of a mean contact over thickness or mean radius, Pa: a scale of stiffness.
 
@@ -317,6 +325,8 @@ class PackingBatch:
         N, d = packing.size, packing.dim
         q = 1 if d == 2 else 3
         room = CONTACTS_PER_GRAIN[d] * N
+        if len(packing.contacts) > room:  # very soft ones
+            room = 3 * len(packing.contacts) // 2
         batch = cls(
             packing,
             np.zeros((size, d, d)),

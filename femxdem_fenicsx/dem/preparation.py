@@ -25,6 +25,11 @@ BLOCK = 25
 SOFTER = 1.05
 #: Span of the compaction friction within which void ratio answers to chance, not to friction.
 SCATTER = 0.05
+#: Fewest grains whose box, as dense as equal grains can be, is two diameters high, by dimension.
+FEWEST_GRAINS = {2: 5, 3: 12}
+#: Stiffness levels (`Packing.stiffness_level`): below the first a pressure squashes the grains;
+#: from the second on a packing is compacted under more pressure first.
+SOFTEST, STIFF = 4.0, 2e4
 #: Most blocks before a preparation is given up.
 MOST_BLOCKS = 40000
 
@@ -73,7 +78,9 @@ def random_packing(
             a dense packing, more a looser one.
         seed: of the random numbers; same seed, same packing.
         density: of the grains, kg/m3.
-        thickness: out of plane, m; 0.1 m by default for disks, spheres have none.
+        thickness: out of plane, m; spheres have none. By default ten times the mean of smallest and
+            largest diameter, 0.1 m for the default radii: k_n / (p t) of `LinearContact`, and with
+            it all results, then do not depend on the unit of length.
         dim: 2 for disks, 3 for spheres.
         tolerance: on every stress component over the pressure, and on Desrues eq. 19.
         progress: called now and then with the pressure reached over the pressure wanted.
@@ -90,8 +97,13 @@ def random_packing(
         raise ValueError(f"a seed must be 0 or more, got {seed}")
     if dim not in (2, 3):
         raise ValueError(f"a packing has 2 or 3 dimensions, not {dim}")
+    if grains < FEWEST_GRAINS[dim]:
+        raise ValueError(
+            f"grains: with {grains} the box is lower than two diameters, and they meet their own"
+            f" images; use more grains, {FEWEST_GRAINS[dim]} at least"
+        )
     if thickness is None:
-        thickness = 0.1 if dim == 2 else 1.0
+        thickness = 10 * (sizes.smallest + sizes.largest) if dim == 2 else 1.0
     load_kernels(law, dim)
     rng = np.random.default_rng(seed)
     compaction_law = replace(
@@ -99,7 +111,7 @@ def random_packing(
     )
     dilute = _dilute(grains, dim, sizes, compaction_law, density, thickness, rng)
     # grains without friction could not bear unequal stresses: those come with the law's friction
-    compacted = compress(dilute, float(np.min(pressure)), tolerance, rng, progress)
+    compacted = _compact(dilute, float(np.min(pressure)), tolerance, rng, progress)
     settled = settle(compacted.but(law=law), pressure, tolerance)
     return settled if law.bonds is None else cemented(settled)
 
@@ -179,6 +191,7 @@ def library(
     first = prepare(seed=seed, **preparation)
     yield first
     preparation["radii"] = GivenRadii(tuple(first.radii))
+    preparation["thickness"] = first.thickness if first.dim == 2 else None
     for k in range(1, count):
         yield prepare(seed=seed + k, **preparation)
 
@@ -197,6 +210,29 @@ def _dilute(
     positions = (places + 0.5 + jitter) / columns
     box = np.diag(columns) * spacing
     return Packing(box, positions, radii, law, density, thickness)
+
+
+def _compact(dilute: Packing, pressure: float, tolerance: float, rng, progress) -> Packing:
+    """Compressed from a wide box; where contacts are very stiff, by way of a higher pressure.
+
+    The steps that compacting takes go with the root of the stiffness level k_n / (p d), and grains
+    that just jam swing ever more slowly beside them. Under more pressure both are spared, and
+    going back from there is a matter of small strains: 100 disks at a level of 1e6 are ready after
+    40,000 steps, where 1e6 steps did not do.
+    """
+    level = dilute.stiffness_level(pressure)
+    if level < SOFTEST:
+        overlap = dilute.overlap_under(pressure) / dilute.mean_diameter
+        raise ValueError(
+            f"pressure {pressure:.4g} Pa makes contacts overlap by about {overlap:.0%} of their"
+            " diameter: they are too soft for it; take stiffer contacts or less pressure"
+        )
+    higher = pressure * max(level / STIFF, 1.0)
+    packing = compress(dilute, higher, tolerance, rng, progress)
+    while higher > pressure:
+        higher = max(0.1 * higher, pressure)
+        packing = compress(packing, higher, tolerance, progress=progress)
+    return packing
 
 
 def compress(
@@ -258,7 +294,8 @@ def compress(
         if flat:
             break
     reached, wanted = (", ".join(f"{x:.4g}" for x in np.diag(s)) for s in (-stress, target))
-    why = "; the box has flattened: the grains cannot bear these stresses" if flat else ""
+    why = "; the box has flattened: the grains cannot bear these stresses, or are too few"
+    why = why if flat else ""
     raise NotReached(
         f"preparation: reached {pressure_of(stress):.4g} Pa of {pressure:.4g} Pa ({reached} of"
         f" {wanted} along the axes), unbalance {net / max(force, 1e-300):.2g}, after"
@@ -332,4 +369,7 @@ def packing_of(packing: Packing, work: dynamics.Workspace) -> Packing:
 
 def _must(status: int) -> None:
     if status != OK:
-        raise RuntimeError("preparation: the grains have collapsed onto each other")
+        raise NotReached(
+            "preparation: the grains have collapsed onto each other; take stiffer contacts or less"
+            " pressure"
+        )

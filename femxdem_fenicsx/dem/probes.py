@@ -11,6 +11,9 @@ import numpy as np
 
 from .mixed_control import Servo, StressCondition
 
+#: Angle (rad) that a packing turns by to be held without any strain.
+TURN = 2.0**-30
+
 
 @dataclass(frozen=True)
 class Envelope:
@@ -50,7 +53,9 @@ def strain_probes(law, size: float) -> Envelope:
         raise ValueError(f"probes: their size must be positive, got {size}")
     strain = size * directions(law.size)
     identity = np.broadcast_to(np.eye(law.dim), (law.size, law.dim, law.dim))
-    before = law.evaluate(identity)
+    turn = np.zeros((law.dim, law.dim))  # by next to nothing: F = I itself is given no hold
+    turn[0, 1], turn[1, 0] = -TURN, TURN
+    before = law.evaluate(identity + turn)
     after = law.evaluate(identity - tensor(strain, law.dim))
     law.discard()
     return Envelope(strain, plane(before - after))

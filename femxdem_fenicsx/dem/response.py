@@ -10,8 +10,8 @@ import numpy as np
 
 from .accuracy import PRESETS, Accuracy
 from .contacts import ContactLaw
-from .dynamics import NO_ROOM, OK, Material, Workspace, workspace
-from .homogenisation import fabric, largest_overlap, stress, touching
+from .dynamics import NO_ROOM, OK, TOO_MANY_CONTACTS, Material, Workspace, workspace
+from .homogenisation import fabric, largest_overlap, stress, touching, unbalance_of
 from .loading import (
     FEWEST_STEPS,
     Loading,
@@ -23,6 +23,7 @@ from .loading import (
     shear_of,
 )
 from .packing import PAIRS_PER_GRAIN, Packing, PackingBatch
+from .stability import vibration_of
 
 #: A packing with more pairs than that per grain has collapsed.
 MOST_PAIRS_PER_GRAIN = 40
@@ -105,8 +106,14 @@ class Response:
         self.committed_outcome.fabric[:] = fabric(contacts)
         self.committed_outcome.contacts[:] = len(contacts.pairs)
         self.committed_outcome.overlap[:] = overlap
-        self.committed_outcome.at_rest[:] = True
-        self._first_overlap = overlap
+        self.committed_outcome.unbalance[:] = unbalance = unbalance_of(contacts, packing)
+        self.committed_outcome.at_rest[:] = unbalance < accuracy.tolerance
+        # of the state that `loading.time_step` is for; without contacts, in its own terms
+        self._first_vibration = vibration_of(packing, contacts, overlap)
+        self._first_vibration = (
+            self._first_vibration or (2.0 * accuracy.time_step / self.loading.time_step) ** 2
+        )
+        self.committed_outcome.vibration[:] = self._first_vibration
         self.commits = 0
         self.held = np.zeros(size, np.int64)
         self.discard()
@@ -119,27 +126,46 @@ class Response:
     def deform(self, F: np.ndarray) -> Outcome:
         """Trial state at F (B, d, d) relative to the committed state; what was measured there.
 
+        A packing that is at rest and asked for nothing, F = I, answers with its committed state:
+        a hold would go on within the tolerance, and the stress creep by up to 0.5 % of the
+        pressure (docs/stability.md).
+
         Raises ValueError for an F that is not a deformation (see `loading.logarithm`) or squeezes
         the box too far, and
         FloatingPointError for a packing that collapses.
         """
-        self.outcome = self._run(F, np.arange(self.size), self.trial.state)
+        F = np.ascontiguousarray(F, dtype=np.float64)
+        still = self._stand_still(F)
+        self.outcome = self._run(F, np.arange(self.size), self.trial.state, still=still)
         self.latest = self.trial
-        self.held = self.outcome.hold_steps
+        for new, old in zip(self.trial.state, self.committed.state, strict=True):
+            new[still] = old[still]
+        for new, old in zip(self.outcome, self.committed_outcome, strict=True):
+            new[still] = old[still]
+        self.outcome.loading_steps[still] = self.outcome.hold_steps[still] = 0
+        self.held = np.where(still, self.held, self.outcome.hold_steps)
         return self.outcome
+
+    def _stand_still(self, F: np.ndarray) -> np.ndarray:
+        """(B,) bool: at rest, and asked for nothing."""
+        return (F == np.eye(self.committed.box.shape[-1])).all((1, 2)) & (
+            self.committed_outcome.at_rest
+        )
 
     def expected_steps(self, F: np.ndarray) -> np.ndarray:
         """Steps (B,) that `deform` will take at F (B, d, d): to load, exactly; to hold, as before.
 
         Raises ValueError for an F that is not a deformation.
         """
-        return self._expected_steps(shear_of(logarithm(F)), np.arange(self.size), self.loading)
+        steps = self._expected_steps(shear_of(logarithm(F)), np.arange(self.size), self.loading)
+        return np.where(self._stand_still(F), 0, steps)
 
     def _expected_steps(self, shear, packings, loading: Loading) -> np.ndarray:
         pressure = np.maximum(self.pressure[packings], loading.least_pressure)
         speed = loading.inertial_number * np.sqrt(pressure / loading.density)
         duration = shear * loading.mean_diameter / speed  # tau of eq. 18
-        steps = np.ceil(duration / self.time_step[packings]).astype(np.int64)
+        stable = self.time_step[packings] / np.sqrt(1.0 + loading.damping)
+        steps = np.ceil(duration / stable).astype(np.int64)
         return np.maximum(steps, FEWEST_STEPS) + self.held[packings]
 
     def probe(
@@ -169,19 +195,9 @@ class Response:
         """Forget the trial state: the latest state is the committed one again."""
         self.latest, self.outcome = self.committed, self.committed_outcome
         self.pressure = pressure_of(self.outcome.stress)
-        self.time_step = self._stable_steps()
-
-    def _stable_steps(self) -> np.ndarray:
-        """(B,) s: shorter where contacts have stiffened since the packing was prepared."""
-        packing = self.committed.template
-        first = max(self._first_overlap, packing.overlap_under(self.loading.least_pressure))
-        steps = np.full(self.size, self.loading.time_step)
-        diameter = packing.mean_diameter
-        modulus = packing.contact_modulus(first * diameter)
-        for b in np.flatnonzero(self.outcome.overlap > first):
-            stiffening = packing.contact_modulus(self.outcome.overlap[b] * diameter) / modulus
-            steps[b] /= np.sqrt(max(stiffening, 1.0))
-        return steps
+        # shorter where contacts have formed or stiffened since the beginning
+        growth = np.maximum(self.outcome.vibration / self._first_vibration, 1.0)
+        self.time_step = self.loading.time_step / np.sqrt(growth)
 
     def restore(self, state: dict[str, np.ndarray], outcome: Outcome, held: np.ndarray) -> None:
         """Take over committed arrays of `PackingBatch.STATE`, what was measured, and the holds.
@@ -193,7 +209,10 @@ class Response:
         self.committed_outcome, self.held = outcome, held
         self.discard()
 
-    def _run(self, F, packings, new, start=None, material=None, loading=None) -> Outcome:
+    def _run(
+        self, F, packings, new, start=None, material=None, loading=None, still=False
+    ) -> Outcome:
+        """What `packings` answer to F; those that stand `still` are left out."""
         start = start or self.committed
         material, loading = material or self.material, loading or self.loading
         F = np.ascontiguousarray(F, dtype=np.float64)
@@ -205,6 +224,7 @@ class Response:
         status = np.full(len(packings), NO_ROOM)
         expected = self._expected_steps(shear, packings, loading)
         waiting = np.argsort(-expected, kind="stable")  # expensive ones first
+        waiting = waiting[~np.broadcast_to(still, waiting.shape)[waiting]]
         while len(waiting):
             tickets = np.zeros(1, np.int64)
 
@@ -220,6 +240,7 @@ class Response:
                     self._scratch.append(target)
 
             self._on_threads(work, len(waiting))
+            self._check_contacts(packings[status == TOO_MANY_CONTACTS])
             waiting = waiting[status[waiting] != OK]
             if len(waiting):
                 self._make_more_room(f"packing {packings[waiting].min()}", 2 * self._capacity)
@@ -229,6 +250,15 @@ class Response:
                 f"packing {packings[wrong[0]]}: its stress is not finite; take smaller steps"
             )
         return outcome
+
+    def _check_contacts(self, overfull: np.ndarray) -> None:
+        """Raise FloatingPointError for packings with more contacts than a batch has room for."""
+        if len(overfull):
+            room = self.committed.second.shape[1] / self.committed.template.size
+            raise FloatingPointError(
+                f"packing {overfull.min()}: more than {room:.1f} contacts per grain; its contacts"
+                " are too soft for this pressure, take stiffer ones"
+            )
 
     def _take_state(self) -> tuple[np.ndarray, ...]:
         """Arrays of a batch of one, for a state that nobody wants.

@@ -144,7 +144,7 @@ def test_loading_takes_the_time_that_the_inertial_number_asks_for(packing):
         pressure = pressure_of(response.committed_outcome.stress[0])
         gamma = np.log(1.0009) - np.log(0.999)
         tau = gamma * packing.mean_diameter * np.sqrt(packing.density / pressure) / number
-        assert steps == np.ceil(tau / response.loading.time_step)
+        assert steps == np.ceil(tau / response.loading.time_step * np.sqrt(1 + BALANCED.damping))
     assert steps > 100
 
 
@@ -161,6 +161,7 @@ def test_a_larger_strain_takes_longer_in_proportion(packing):
 
 def test_a_hold_that_reaches_its_limit_is_reported_as_not_at_rest(packing):
     response = Response(packing, 2, BALANCED.but(tolerance=1e-6, hold_limit=25))
+    assert not response.committed_outcome.at_rest.any()  # prepared with less care
     outcome = response.deform(np.array([np.eye(2), SHORTER]))
     assert not outcome.at_rest.any()
     assert (outcome.hold_steps == 25).all()
@@ -175,10 +176,12 @@ def test_a_packing_at_rest_has_the_unbalance_that_was_asked_for(packing):
     assert outcome.hold_steps[0] % 25 == 0
 
 
-def test_a_zero_increment_keeps_stress_contacts_and_friction(sheared):
+def test_a_hold_of_a_packing_at_rest_keeps_stress_contacts_and_friction(sheared):
+    """It turns by next to nothing: without any motion there is no hold."""
     response = Response(sheared, 1, BALANCED)
     before = response.committed_outcome.stress.copy()
-    outcome = response.deform(np.eye(2)[None])
+    outcome = response.deform(rotation(1e-9)[None])
+    assert outcome.hold_steps[0] == 25
     np.testing.assert_allclose(outcome.stress, before, atol=1e-4 * np.abs(before).max())
     assert outcome.contacts == response.committed_outcome.contacts
     response.commit()
@@ -208,14 +211,14 @@ def test_a_rigid_rotation_rotates_the_stress_and_no_contact_slides(sheared, degr
 
 
 def test_a_rotation_moves_no_grain_against_the_others(sheared):
-    """What is left after taking out the hold that a zero increment has too."""
+    """What is left after taking out the hold that a turn by next to nothing has too."""
     response = Response(sheared, 2, BALANCED)
     R = rotation(np.radians(10.0))
-    still, turned = response.deform(np.array([np.eye(2), R])).stress
+    still, turned = response.deform(np.array([rotation(1e-9), R])).stress
     np.testing.assert_allclose(turned, R @ still @ R.T, atol=1e-5 * np.abs(still).max())
     response.commit()
     still, turned = response.committed.packing(0), response.committed.packing(1)
-    np.testing.assert_allclose(turned.box, R @ still.box, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(turned.box, R @ still.box, rtol=1e-8, atol=1e-15)
     moved = (turned.positions - still.positions) @ still.box.T
     assert np.abs(moved).max() < 1e-6 * still.mean_diameter
 
