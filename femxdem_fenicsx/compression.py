@@ -209,10 +209,8 @@ def trust(run: Run) -> str:
     worst = max(row["residual"] for row in rows)
     lost = run.outcome.lost_work / max(run.outcome.work, 1e-300)
     good = balanced >= BALANCED_STEPS and worst <= WORST_RESIDUAL and lost <= LOST_WORK
-    return (
-        f"{'to be trusted' if good else 'NOT to be trusted'}: {balanced:.0%} of {len(rows)} steps in"
-        f" balance, residual at worst {worst:.1e}"
-    )
+    verdict = "to be trusted" if good else "NOT to be trusted"
+    return f"{verdict}: {balanced:.0%} of {len(rows)} steps in balance, worst residual {worst:.1e}"
 
 
 def summary(specimen: Specimen, run: Run, seconds: float) -> dict[str, str]:
