@@ -1,0 +1,165 @@
+"""What docs/localisation.md shows: the law's roughness, the spectrum along the way, the runs.
+
+Used by `make_figures.py`. The runs are those of `benchmarks/localisation.py`, which keeps them in
+results/localisation and goes on where it was stopped.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from mpi4py import MPI
+
+ROOT = Path(__file__).resolve().parents[1]
+FIGURES = ROOT / "docs" / "figures"
+RESULTS = ROOT / "results" / "localisation"
+sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks"), str(ROOT / "demos")]
+import biaxial  # noqa: E402
+from accuracy import SLOWEST, YADE, deviatoric  # noqa: E402
+from localisation import PACKING  # noqa: E402
+
+from femxdem_fenicsx import plotting  # noqa: E402
+from femxdem_fenicsx.arguments import packing_for, stepping_of  # noqa: E402
+from femxdem_fenicsx.dem.accuracy import PRESETS  # noqa: E402
+from femxdem_fenicsx.dem.element_tests import drained_biaxial  # noqa: E402
+from femxdem_fenicsx.dem.files import load_packing  # noqa: E402
+from femxdem_fenicsx.fem.stepping import walk  # noqa: E402
+from femxdem_fenicsx.homogenised_law import HomogenisedLaw  # noqa: E402
+
+#: Axial strains of the packings whose stress is followed along a line.
+STATES = (0.01, 0.03, 0.06)
+#: Points of a line, and the strain of the increment at its ends.
+LINE = np.linspace(0.9e-3, 1.1e-3, 81)
+BALANCED = PRESETS["balanced"]
+SETTINGS = {
+    "I = 1e-2": BALANCED.but(inertial_number=1e-2),
+    "balanced (I = 1e-3, tolerance 1e-2)": BALANCED,
+    "I = 3e-4": BALANCED.but(inertial_number=3e-4),
+    "I = 1e-4": BALANCED.but(inertial_number=1e-4),
+    "tolerance 3e-2": BALANCED.but(tolerance=3e-2),
+    "tolerance 3e-3": BALANCED.but(tolerance=3e-3),
+    "tolerance 1e-3": BALANCED.but(tolerance=1e-3),
+    "no hold (one look after 25 steps)": BALANCED.but(hold_limit=25),
+    "hold of 100 steps": BALANCED.but(tolerance=1e-9, hold_limit=100),
+    "reference (I = 1e-4, tolerance 1e-3)": PRESETS["reference"],
+}
+
+
+# The law's roughness: the stress along a line of increments, which differ by 0.25 % from one to
+# the next. Half the second difference is what a smooth curve leaves nothing of.
+
+
+def run_roughness() -> None:
+    packings, result = sheared(load_packing(YADE / "packing.h5", 2)), {}
+    for name, accuracy in {"slow": SLOWEST, **SETTINGS}.items():
+        laws = [HomogenisedLaw(packing, len(LINE), accuracy, threads=2) for packing in packings]
+        stresses = np.array([law.evaluate(line()) for law in laws])
+        steps = sum(law.tally.steps for law in laws) / stresses[..., 0, 0].size
+        if name == "slow":
+            slow = stresses
+        result[name] = roughness(stresses, slow) | {"steps": steps}
+        print(name, result[name], flush=True)
+        result[name]["line"] = deviatoric(stresses[1]).tolist()
+    (FIGURES / "localisation_roughness.json").write_text(json.dumps(result))
+
+
+def sheared(packing) -> list:
+    """The packing at the strains `STATES` of a drained biaxial test."""
+    law, found = HomogenisedLaw(packing, 1, BALANCED), []
+    for state in drained_biaxial(law, 1e5, max(STATES), 1e-3, tolerance=3e-3):
+        if len(found) < len(STATES) and state.axial_strain > STATES[len(found)] - 1e-6:
+            found.append(law.packing(0))
+    return found
+
+
+def line() -> np.ndarray:
+    """F (n, 2, 2): compression with the dilation of a dense packing past its peak."""
+    return np.eye(2) + LINE[:, None, None] * np.diag([1.2, -1.0])
+
+
+def roughness(stresses: np.ndarray, slow: np.ndarray) -> dict:
+    """Of stresses (states, n, 2, 2), over the pressure: rms roughness, largest jump, error."""
+    pressure = np.trace(stresses, axis1=-2, axis2=-1).mean(1)[:, None, None, None] / -2.0
+    scaled = stresses / pressure
+    second = np.diff(scaled, 2, axis=1)
+    return {
+        "roughness": [float(v) for v in np.sqrt((second**2).mean((1, 2, 3)) / 6)],
+        "jump": [float(v) for v in np.abs(np.diff(scaled, axis=1)).max((1, 2, 3))],
+        "error": float(np.sqrt(((scaled - slow / pressure) ** 2).mean())),
+    }
+
+
+def draw_roughness() -> None:
+    result = json.loads((FIGURES / "localisation_roughness.json").read_text())
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    names = [name for name in result if name != "slow"]
+    for name in names:
+        one = result[name]
+        left.loglog(one["steps"], 100 * np.mean(one["roughness"]), "o", label=name)
+    left.set(xlabel="DEM steps per evaluation", ylabel="roughness (% of the pressure)")
+    left.legend(fontsize=7)
+    for name in ("I = 1e-2", names[1], names[-1]):
+        curve = np.array(result[name]["line"])
+        right.plot(1e3 * LINE, curve / 1e3, ".-", ms=3, label=name)
+    right.set(xlabel="strain of the increment (1e-3)", ylabel="deviatoric stress (kPa)")
+    right.legend(fontsize=7)
+    figure.savefig(FIGURES / "localisation_roughness.png", dpi=110)
+
+
+# The spectrum of K^-1 J along the way, 2 x 4 Q8: J by differences of the step's own strain, K the
+# law's operator (PSTLO). A negative eigenvalue is a limit point passed.
+
+
+def run_spectrum() -> None:
+    scene = biaxial.arguments().parse_args(
+        ["--packing", str(PACKING), "--mesh", "2", "4", "--element", "Q8", "--quiet"]
+        + ["--formulation", "small", "--strain", "0.05"]
+    )
+    comm = MPI.COMM_SELF
+    specimen = biaxial.specimen_for(scene, packing_for(scene, comm, 2), comm)
+    rows, end = [], 0.0
+    while end < 0.0449:
+        walk(specimen.problem, specimen.compress, end + 5e-3, stepping_of(scene), start=end)
+        end += 5e-3
+        values = np.sort(spectrum(specimen, scene.step).real)
+        rows.append([end, *values[:6], np.median(values), values[-1], (values < 0).sum()])
+        print(*rows[-1], flush=True)
+    header = "strain,e1,e2,e3,e4,e5,e6,median,largest,negative"
+    path = FIGURES / "localisation_spectrum.csv"
+    np.savetxt(path, rows, fmt="%.6g", delimiter=",", header=header, comments="")
+
+
+def spectrum(specimen, step: float) -> np.ndarray:
+    """Eigenvalues of K^-1 J at the committed state, for increments of the step's strain."""
+    problem = specimen.problem
+    u = problem.u.x.array
+    free = np.setdiff1d(np.arange(len(u)), problem._constrained)
+    size = step * specimen.height / 4
+    rows = free.astype(np.int32)
+    K = problem.stiffness().getValues(rows, rows)
+    J = np.zeros_like(K)
+    for column, dof in enumerate(free):
+        forces = []
+        for sign in (1.0, -1.0):
+            u[:] = 0.0
+            u[dof] = sign * size
+            problem._evaluate_at_u()
+            forces.append(problem._forces.array_r[free].copy())
+        J[:, column] = (forces[0] - forces[1]) / (2 * size)
+    problem.reject()
+    return np.linalg.eigvals(np.linalg.solve(K, J))
+
+
+def draw_spectrum() -> None:
+    data = np.genfromtxt(FIGURES / "localisation_spectrum.csv", delimiter=",", names=True)
+    figure = Figure(figsize=(5.5, 4), layout="constrained")
+    axes = figure.subplots()
+    for k in range(1, 7):
+        axes.plot(100 * data["strain"], data[f"e{k}"], "o-", ms=3, color=plotting.COLOURS[0])
+    axes.plot(100 * data["strain"], data["median"], "s-", ms=3, color=plotting.COLOURS[1])
+    axes.axhline(0.0, color="black", lw=0.6)
+    axes.set(xlabel="axial strain (%)", ylabel="eigenvalues of $K^{-1}J$: six lowest, median")
+    figure.savefig(FIGURES / "localisation_spectrum.png", dpi=110)
