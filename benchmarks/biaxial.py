@@ -20,7 +20,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "demos")]
 import biaxial  # noqa: E402
 
 from femxdem_fenicsx import script  # noqa: E402
-from femxdem_fenicsx.arguments import packing_for  # noqa: E402
+from femxdem_fenicsx.arguments import DEFAULT_OPERATOR, packing_for  # noqa: E402
 
 REFERENCE = ROOT / "tests" / "data" / "yade"
 
@@ -30,7 +30,7 @@ def main(comm: MPI.Comm) -> int:
     parser.add_argument("--elements", type=int, nargs=2, default=(2, 4), metavar=("NX", "NY"))
     parser.add_argument("--strain", type=float, default=0.05)
     parser.add_argument("--accuracy", default="balanced")
-    parser.add_argument("--operator", default="UKO")
+    parser.add_argument("--operator", default=DEFAULT_OPERATOR)
     parser.add_argument("--formulation", default="small")
     parser.add_argument("--quick", action="store_true", help="stop at 1 % strain")
     args = script.parse(parser, comm)

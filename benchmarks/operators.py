@@ -29,7 +29,6 @@ sys.path[:0] = [str(ROOT), str(ROOT / "demos")]
 import biaxial  # noqa: E402
 
 from femxdem_fenicsx import script  # noqa: E402
-from femxdem_fenicsx.arguments import DEFAULT_OPERATORS  # noqa: E402
 from femxdem_fenicsx.compression import Specimen, load  # noqa: E402
 from femxdem_fenicsx.dem.contacts import LinearContact  # noqa: E402
 from femxdem_fenicsx.dem.files import load_packing, save_packing  # noqa: E402
@@ -181,7 +180,7 @@ def run(study: Study, name: str) -> dict:
         computed = process_time() - computed
     perturbed = np.diff([0.0, *counts])
     return {
-        "operator": args.operator or DEFAULT_OPERATORS[packing.dim],
+        "operator": args.operator,
         "strain": [row["axial_strain"] for row in done.rows],
         "stress_ratio": [row["stress_ratio"] for row in done.rows],
         "iterations": [row["iterations"] for row in done.rows],
@@ -326,7 +325,7 @@ def spectra_of(study, specimen, operators) -> dict:
 def summary(study: Study, states: dict, runs: dict) -> dict:
     """The result, with the keys that are compared from release to release."""
     peak = np.array(
-        runs["default" if "default" in runs else study.names[0]]["stress_ratio"]
+        runs["default" if "default" in runs else next(iter(runs))]["stress_ratio"]
     ).argmax()
     rows = {}
     for name, one in runs.items():

@@ -115,8 +115,8 @@ def add_grains(parser: argparse.ArgumentParser, count: int, noun: str) -> argpar
     return grains
 
 
-#: The operators that win, by dimension of the packing (docs/operators.md).
-DEFAULT_OPERATORS = {2: "PSTLO", 3: "UKO"}
+#: The operator that wins, for disks and spheres (docs/operators.md).
+DEFAULT_OPERATOR = "PSTLO-secant"
 
 
 def add_compression(parser: argparse.ArgumentParser, strain: float) -> None:
@@ -134,10 +134,7 @@ def add_solution(parser: argparse.ArgumentParser) -> None:
     solution.add_argument(
         "--time-step", type=float, help="share of the stability limit  (default: the preset's)"
     )
-    solution.add_argument(
-        "--operator",
-        help=f"{', '.join(OPERATORS)}  (default: PSTLO for disks, UKO for spheres)",
-    )
+    solution.add_argument("--operator", default=DEFAULT_OPERATOR, help=f"{', '.join(OPERATORS)}")
     solution.add_argument("--tolerance", type=float, default=1e-2, help="FNORM/RNORM")
     solution.add_argument(
         "--displacement-tolerance", type=float, help="on the last correction too (Guo-Zhao: 1e-2)"
@@ -189,8 +186,7 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
         raise ValueError(f"unknown --path-following '{args.path_following}'; choose from {known}")
     variability_of(args)
     accuracy_of(args)
-    if args.operator is not None:
-        operator(args.operator)
+    operator(args.operator)
     if not 0 < args.step <= args.strain < 1:
         raise ValueError(
             f"--step {args.step} and --strain {args.strain}: need 0 < step <= strain < 1"
@@ -311,7 +307,6 @@ def law_for(
     Raises ValueError for friction that cannot vary so.
     """
     threads = script.threads_per_rank(comm) if args.threads is None else args.threads
-    name = args.operator or DEFAULT_OPERATORS[packing.dim]
 
     variability, per_cell = variability_of(args), points.element.points_per_cell
     by_element = None
@@ -322,7 +317,7 @@ def law_for(
     def make(numbers: np.ndarray) -> HomogenisedLaw:
         friction = None if by_element is None else by_element[numbers // per_cell]
         return HomogenisedLaw(
-            packing, len(numbers), accuracy_of(args), name, threads, friction=friction
+            packing, len(numbers), accuracy_of(args), args.operator, threads, friction=friction
         )
 
     if comm.size == 1:

@@ -1,9 +1,8 @@
 """Anderson acceleration on a factorised Jacobian that is kept, as a type of PETSc's SNES.
 
 PETSc has the parts, but its Anderson takes two residuals an iteration when it is preconditioned
-by a linear solve, and here a residual is a law evaluation. This one takes one. And it learns across
-solves: matrix and differences stay from load step to load step as long as they serve. It is SNES
-in all else: monitors, convergence test, options; any other type can be chosen on the command line.
+by a linear solve, and here a residual is a law evaluation. This one takes one. It is SNES in all
+else: monitors, convergence test, options; any other type can be chosen on the command line.
 """
 
 from __future__ import annotations
@@ -18,18 +17,20 @@ class Anderson:
     With g(x) = -K^-1 F(x), K a Jacobian computed some time ago, and the last differences dX of
     iterates and dG of their g, the next iterate is x + beta g - (dX + beta dG) gamma, where gamma
     minimises |g - dG gamma| (Walker and Ni 2011). K is computed anew, and the differences start
-    anew, where an iteration reduces |F| by too little, though not again within `PATIENCE` ones.
+    anew, at the first iterate of a solve, and where an iteration reduces |F| by too little, though
+    not again within `PATIENCE` ones.
 
     Options: ``-snes_anderson_m`` (5), the number of differences kept; ``-snes_anderson_beta`` (1);
     ``-snes_anderson_slow`` (0.7), the reduction of |F| from which on K is computed anew, 0 for
-    once in every solve.
+    never within a solve; ``-snes_anderson_keep`` (false), whether K and the differences stay from
+    solve to solve as long as they serve: of use where K costs more than some evaluations.
     """
 
     SMALLEST_SINGULAR_VALUE = 1e-3  # relative; below it, differences of g are noise
-    PATIENCE = 5  # iterations
+    PATIENCE = 3  # iterations
 
     def __init__(self):
-        self.m, self.beta, self.slow = 5, 1.0, 0.7
+        self.m, self.beta, self.slow, self.keep = 5, 1.0, 0.7, False
         self.forget()
 
     def forget(self) -> None:
@@ -42,12 +43,13 @@ class Anderson:
         self.m = options.getInt("snes_anderson_m", self.m)
         self.beta = options.getReal("snes_anderson_beta", self.beta)
         self.slow = options.getReal("snes_anderson_slow", self.slow)
+        self.keep = options.getBool("snes_anderson_keep", self.keep)
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
         f = snes.getFunction()[0]
         if self._stops(snes, 0, x, f, step=0.0):
             return
-        if self.slow == 0.0:
+        if not self.keep:
             self.forget()
         self._iterate(snes, x, f)
         if snes.getConvergedReason() < 0:

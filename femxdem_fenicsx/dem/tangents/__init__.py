@@ -15,12 +15,14 @@ from .cto import consistent_tangent
 from .demqo import quasi_static
 from .kao import kruyt_augmented
 from .pstlo import prestressed_truss
+from .secant import Secant
 from .ucko import UpperBoundCorrected, UpperBoundCorrected2
 from .uko import upper_bound_kruyt
 
 Operator = Callable[[Response, np.ndarray], np.ndarray]
 
-#: What makes the operator of that name, as in the papers: `--operator` chooses from these.
+#: What makes the operator of that name, as in the papers but for the last, which is ours:
+#: `--operator` chooses from these.
 OPERATORS: dict[str, Callable[[], Operator]] = {
     "CTO": lambda: consistent_tangent,
     "AEO": AuxiliaryElastic,
@@ -30,6 +32,7 @@ OPERATORS: dict[str, Callable[[], Operator]] = {
     "KAO": lambda: kruyt_augmented,
     "DEMQO": lambda: quasi_static,
     "PSTLO": lambda: prestressed_truss,
+    "PSTLO-secant": Secant,
 }
 
 

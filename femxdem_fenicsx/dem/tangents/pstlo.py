@@ -35,14 +35,19 @@ TOLERANCE = 1e-6
 MOST_REFINEMENTS = 50
 
 
-def prestressed_truss(response: Response, F: np.ndarray) -> np.ndarray:
+def prestressed_truss(
+    response: Response, F: np.ndarray, packings: np.ndarray | None = None
+) -> np.ndarray:
     """PSTLO: the exact derivative of a packing in which nothing slides, opens or closes (eq. 23).
+
+    Of all packings, or of those whose numbers are given (k,); F (B, d, d), C (B or k, d, d, d, d).
 
     Grains with too few contacts to be held by them move along and bear nothing. Strains alone are
     solved for: a rotation turns the stress. A packing whose equations cannot be solved (it is about
     to collapse) gets KAO.
     """
-    B, dim = response.size, F.shape[-1]
+    packings = np.arange(response.size) if packings is None else packings
+    B, dim = len(packings), F.shape[-1]
     basis = strains(dim)
     columns = np.zeros((B, len(basis), dim, dim))
     stress = np.zeros((B, dim, dim))
@@ -52,17 +57,17 @@ def prestressed_truss(response: Response, F: np.ndarray) -> np.ndarray:
     least = HELD_BY[dim, turning]
     unit = (0,) * (dim if not turning else 3 * dim - 3)
 
-    def one(b: int) -> None:
-        contacts = network(response, b)
-        stress[b] = contacts.stress
-        left[b] = _solve(unit, least, radius, basis, *contacts, columns[b])
+    def one(k: int) -> None:
+        contacts = network(response, packings[k])
+        stress[k] = contacts.stress
+        left[k] = _solve(unit, least, radius, basis, *contacts, columns[k])
 
     response.for_each(one, np.arange(B))
     dilation = np.einsum("sii->s", basis)
     C = objective(columns - dilation[:, None, None] * stress[:, None], stress)
     unsolved = ~(left < TOLERANCE)
     if unsolved.any():
-        C[unsolved] = kruyt_augmented(response, F)[unsolved]
+        C[unsolved] = kruyt_augmented(response, F)[packings[unsolved]]
     return C
 
 
