@@ -15,7 +15,7 @@ from mpi4py import MPI
 ROOT = Path(__file__).resolve().parents[1]
 FIGURES = ROOT / "docs" / "figures"
 RESULTS = ROOT / "results" / "localisation"
-sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks"), str(ROOT / "demos")]
+sys.path[:0] = [str(ROOT), str(ROOT / "demos"), str(ROOT / "benchmarks")]
 import biaxial  # noqa: E402
 from accuracy import SLOWEST, YADE, deviatoric  # noqa: E402
 from localisation import PACKING  # noqa: E402
@@ -30,20 +30,18 @@ from femxdem_fenicsx.homogenised_law import HomogenisedLaw  # noqa: E402
 
 #: Axial strains of the packings whose stress is followed along a line.
 STATES = (0.01, 0.03, 0.06)
-#: Points of a line, and the strain of the increment at its ends.
+#: Axial strains of the increments along a line.
 LINE = np.linspace(0.9e-3, 1.1e-3, 81)
 BALANCED = PRESETS["balanced"]
 SETTINGS = {
     "I = 1e-2": BALANCED.but(inertial_number=1e-2),
-    "balanced (I = 1e-3, tolerance 1e-2)": BALANCED,
+    "balanced": BALANCED,
     "I = 3e-4": BALANCED.but(inertial_number=3e-4),
     "I = 1e-4": BALANCED.but(inertial_number=1e-4),
-    "tolerance 3e-2": BALANCED.but(tolerance=3e-2),
     "tolerance 3e-3": BALANCED.but(tolerance=3e-3),
     "tolerance 1e-3": BALANCED.but(tolerance=1e-3),
-    "no hold (one look after 25 steps)": BALANCED.but(hold_limit=25),
     "hold of 100 steps": BALANCED.but(tolerance=1e-9, hold_limit=100),
-    "reference (I = 1e-4, tolerance 1e-3)": PRESETS["reference"],
+    "reference": PRESETS["reference"],
 }
 
 
@@ -95,13 +93,13 @@ def draw_roughness() -> None:
     result = json.loads((FIGURES / "localisation_roughness.json").read_text())
     figure = Figure(figsize=(10, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    names = [name for name in result if name != "slow"]
-    for name in names:
-        one = result[name]
-        left.loglog(one["steps"], 100 * np.mean(one["roughness"]), "o", label=name)
+    for name, one in result.items():
+        place = one["steps"], 100 * np.sqrt(np.mean(np.square(one["roughness"])))
+        left.loglog(*place, "o", color=plotting.COLOURS[0])
+        left.annotate(name, place, xytext=(4, 4), textcoords="offset points", fontsize=8)
     left.set(xlabel="DEM steps per evaluation", ylabel="roughness (% of the pressure)")
-    left.legend(fontsize=7)
-    for name in ("I = 1e-2", names[1], names[-1]):
+    left.set(xlim=(60, 3e5), ylim=(1e-3, 0.1))
+    for name in ("I = 1e-2", "balanced", "reference", "slow"):
         curve = np.array(result[name]["line"])
         right.plot(1e3 * LINE, curve / 1e3, ".-", ms=3, label=name)
     right.set(xlabel="strain of the increment (1e-3)", ylabel="deviatoric stress (kPa)")
@@ -114,10 +112,8 @@ def draw_roughness() -> None:
 
 
 def run_spectrum() -> None:
-    scene = biaxial.arguments().parse_args(
-        ["--packing", str(PACKING), "--mesh", "2", "4", "--element", "Q8", "--quiet"]
-        + ["--formulation", "small", "--strain", "0.05"]
-    )
+    words = "--mesh 2 4 --element Q8 --formulation small --strain 0.05 --quiet --packing"
+    scene = biaxial.arguments().parse_args([*words.split(), str(PACKING)])
     comm = MPI.COMM_SELF
     specimen = biaxial.specimen_for(scene, packing_for(scene, comm, 2), comm)
     rows, end = [], 0.0
@@ -163,3 +159,52 @@ def draw_spectrum() -> None:
     axes.axhline(0.0, color="black", lw=0.6)
     axes.set(xlabel="axial strain (%)", ylabel="eigenvalues of $K^{-1}J$: six lowest, median")
     figure.savefig(FIGURES / "localisation_spectrum.png", dpi=110)
+
+
+# The runs: stress, balance, volume; and the hexagonal packing, which breaks.
+
+
+def draw_runs() -> None:
+    names = {
+        "2x4_q8": "2 x 4 Q8",
+        "6x10_q4": "6 x 10 Q4",
+        "6x10_q4_varied": "6 x 10 Q4, friction varies by 0.05",
+        "6x10_q8_3x3": "6 x 10 Q8, 3 x 3 points",
+    }
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for name, label in names.items():
+        data = table(f"localisation_{name}")
+        left.plot(100 * data["axial_strain"], data["stress_ratio"], label=label)
+        right.semilogy(100 * data["axial_strain"], data["residual"], ".", ms=4, label=label)
+    theirs = np.genfromtxt(YADE / "steps_2x4.csv", delimiter=",", names=True)
+    style = {"color": "black", "lw": 0.8, "ls": "--", "label": "escript + YADE, 2 x 4 Q8"}
+    left.plot(-100 * theirs["axial_strain"], -theirs["sigma_yy_top_Pa"] / 1e5, **style)
+    left.set(xlabel="axial strain (%)", ylabel="stress ratio", ylim=(0.9, 3.0))
+    left.legend(fontsize=8)
+    right.set(xlabel="axial strain (%)", ylabel="FNORM/RNORM of the step")
+    figure.savefig(FIGURES / "localisation_runs.png", dpi=110)
+
+
+def draw_hexagonal() -> None:
+    figure = Figure(figsize=(5.5, 4), layout="constrained")
+    axes = figure.subplots()
+    for name, style in (("crossing", "o-"), ("none", "x-")):
+        data = table(f"localisation_hexagonal_{name}")
+        axes.plot(100 * data["axial_strain"], data["stress_ratio"], style, ms=3, label=name)
+    axes.set(xlabel="axial strain (%)", ylabel="stress ratio")
+    axes.legend(title="--path-following")
+    figure.savefig(FIGURES / "localisation_hexagonal.png", dpi=110)
+
+
+def table(name: str) -> np.ndarray:
+    return np.genfromtxt(FIGURES / f"{name}.csv", delimiter=",", names=True)
+
+
+def keep(history: Path, name: str) -> None:
+    """Keep the columns of a history that are drawn."""
+    columns = "axial_strain", "stress_ratio", "volumetric_strain", "residual", "evaluations"
+    data = np.genfromtxt(history, delimiter=",", names=True)
+    rows = np.column_stack([data[column] for column in columns])
+    header, path = ",".join(columns), FIGURES / f"localisation_{name}.csv"
+    np.savetxt(path, rows, fmt="%.5g", delimiter=",", header=header, comments="")
