@@ -14,24 +14,10 @@ from scipy.optimize import brentq
 from femxdem_fenicsx.collective import Interrupted
 from femxdem_fenicsx.fem.path_following import Crossing, cross
 from femxdem_fenicsx.fem.stepping import LoadStepping, walk
-from femxdem_fenicsx.law import Softening
-from tests.fem.specimen import HEIGHT, WIDTH, Specimen
+from tests.fem.snap_back import K0, PEAK, E, bar
+from tests.fem.specimen import HEIGHT, WIDTH
 
-E, K0 = 100.0, 1e-4
-PEAK = K0  # axial strain of the bar there
 LANDING = brentq(lambda x: 2 * x - np.log(x) - 2, 1e-3, 0.9)
-
-
-def bar() -> Specimen:
-    def law(points):
-        y = points.coordinates()[:, 1]
-        weak = np.abs(y - HEIGHT / 2) < HEIGHT / 6
-        return Softening(points.size, E, 0.0, np.where(weak, K0, 10 * K0))
-
-    return Specimen(
-        law, name="Q4", formulation="small", cells=(1, 3), distortion=0.0, tolerance=1e-6,
-        max_iterations=10,
-    )  # fmt: skip
 
 
 def compressed(end: float, crossing: Crossing | None, **sizes):
