@@ -452,9 +452,21 @@ def draw_friction() -> None:
     figure.savefig(FIGURES / "lab_friction.png")
 
 
+def run_localisation() -> None:
+    from figures_localisation import run
+
+    run(python)
+
+
+def draw_localisation() -> None:
+    from figures_localisation import draw
+
+    draw()
+
+
 NAMES = (
     "accuracy", "element_tests", "coupled", "biaxial", "operators", "laboratory",
-    "representativity", "friction", "second_gradient",
+    "representativity", "friction", "second_gradient", "localisation",
 )  # fmt: skip
 
 
