@@ -220,8 +220,8 @@ def _saved(
             f"{saved.path}: the load {start.load:.6g} is reached already; ask for more than"
             f" {end:.6g} to go on"
         )
-    unknown = np.full(start.steps, np.nan)  # columns that an older program did not write
-    columns = {name: saved.common.get(f"history/{name}", unknown) for name in scene.columns}
+    none = np.zeros(start.steps)  # what an older program did not count is counted from here on
+    columns = {name: saved.common.get(f"history/{name}", none) for name in scene.columns}
     rows = [
         {name: values[row].item() for name, values in columns.items()} for row in range(start.steps)
     ]

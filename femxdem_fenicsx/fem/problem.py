@@ -300,9 +300,12 @@ class Problem:
         learnt is not saved, and forgotten here, so that a resumed run goes on as this one does.
         """
         owned = slice(_dolfinx.number_of_cells(self._mesh)[0])
-        group["increment"] = self._between_steps()[owned]
-        group["step"] = np.full(owned.stop, 0.0 if self._last_step is None else self._last_step[0])
+        step, increment = self._last_step or (0.0, np.zeros(self._size))
+        group["increment"] = self._by_cell(increment)[owned]
+        group["step"] = np.full(owned.stop, step)
         group["displacement"] = _dolfinx.cell_values(self.motion.displacement)[owned]
+        if self._last_step is not None and self._last_forces is not None:
+            group["forces"] = self._by_cell(self._last_forces.array_r)[owned]
         self.forget()
         group["geometry"] = self._mesh.geometry.x[_dolfinx.geometry_dofmap(self._mesh)][owned]
 
@@ -313,6 +316,10 @@ class Problem:
         step = self._comm.allreduce(step, MPI.MAX)
         self._last_step = (step, self.u.x.array[: self._size].copy()) if step > 0 else None
         self._last_forces = None
+        if "forces" in group:  # not in the first format
+            _dolfinx.set_cell_values(self.u, group["forces"][()])
+            self._last_forces = self._forces.duplicate()
+            self._last_forces.array[:] = self.u.x.array[: self._size]
         self.forget()
         self.u.x.array[:] = 0.0
         self._now = None
@@ -320,10 +327,9 @@ class Problem:
         nodes = _dolfinx.geometry_dofmap(self._mesh)
         self._mesh.geometry.x[nodes] = group["geometry"][()]
 
-    def _between_steps(self) -> np.ndarray:
-        """The last increment by cell, (c, k)."""
-        if self._last_step is not None:
-            self._set_u(self._last_step[1])
+    def _by_cell(self, owned: np.ndarray) -> np.ndarray:
+        """Values at owned dofs -> by cell, (c, k)."""
+        self._set_u(owned)
         values = _dolfinx.cell_values(self.u)
         self.u.x.array[:] = 0.0
         return values
