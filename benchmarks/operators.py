@@ -324,9 +324,9 @@ def spectra_of(study, specimen, operators) -> dict:
 
 def summary(study: Study, states: dict, runs: dict) -> dict:
     """The result, with the keys that are compared from release to release."""
-    peak = np.array(
-        runs["default" if "default" in runs else next(iter(runs))]["stress_ratio"]
-    ).argmax()
+    judge = runs["default" if "default" in runs else next(iter(runs))]
+    in_balance = np.where(judge["converged"], judge["stress_ratio"], 0.0)
+    peak = int(in_balance.argmax())
     rows = {}
     for name, one in runs.items():
         iterations, evaluations = np.array(one["iterations"]), np.array(one["evaluations"])
@@ -343,21 +343,22 @@ def summary(study: Study, states: dict, runs: dict) -> dict:
         }
     unit = rows.get("PSTLO", rows[study.names[0]])
     for row in rows.values():
-        row["V_i"] = unit["evaluations_pre"] / row["evaluations_pre"]
-        row["V_p"] = unit["evaluations_post"] / row["evaluations_post"]
+        for name, when in (("V_i", "pre"), ("V_p", "post")):
+            ours, least = row[f"evaluations_{when}"], unit[f"evaluations_{when}"]
+            row[name] = None if ours is None or least is None else least / ours
     return {
         "operators": rows,
         "mesh": study.mesh,
         "step": study.step,
-        "strain_at_peak": runs[next(iter(runs))]["strain"][peak],
+        "strain_at_peak": judge["strain"][peak],
         "default_operator": runs["default"]["operator"] if "default" in runs else None,
         "states": states,
         "cpu_count": os.cpu_count(),
     }
 
 
-def mean(values: np.ndarray) -> float:
-    return float(values.mean()) if len(values) else float("nan")
+def mean(values: np.ndarray) -> float | None:
+    return float(values.mean()) if len(values) else None
 
 
 def table(result: dict) -> str:
@@ -373,17 +374,18 @@ def table(result: dict) -> str:
     for name, row in rows.items():
         initial, post = PAPER.get(name, (None, None))
         lines.append(
-            f"| {name} | {row['iterations_pre']:.1f} / {row['iterations_post']:.1f}"
-            f" | {row['evaluations_pre']:.1f} / {row['evaluations_post']:.1f}"
+            f"| {name} | {number(row['iterations_pre'])} / {number(row['iterations_post'])}"
+            f" | {number(row['evaluations_pre'])} / {number(row['evaluations_post'])}"
             f" | {100 * row['wall_s'] / whole:.0f}"
             f" | {row['tangent_s']:.1f} of {row['wall_s']:.1f} | {row['failed_steps']}"
-            f" | {row['V_i']:.2f} ({in_paper(initial)}) | {row['V_p']:.2f} ({in_paper(post)}) |"
+            f" | {number(row['V_i'], 2)} ({number(initial, 2)})"
+            f" | {number(row['V_p'], 2)} ({number(post, 2)}) |"
         )
     return "\n".join(lines)
 
 
-def in_paper(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2f}"
+def number(value: float | None, digits: int = 1) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
 
 
 if __name__ == "__main__":

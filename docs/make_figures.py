@@ -277,7 +277,7 @@ def run_operators() -> None:
 KINDS = {
     "CTO": (THEIRS, "-"), "AEO": (THEIRS, "--"), "UKO": ("0.55", "-"), "UCKO": ("0.55", "--"),
     "UCKO-2DOF": ("0.55", ":"), "KAO": ("0.25", "-."), "DEMQO": (THIRD, "--"), "PSTLO": (OURS, "-"),
-    "default": (OURS, "-"),
+    "PSTLO-secant": (OURS, "--"), "default": (OURS, "-"),
 }  # fmt: skip
 
 
@@ -323,6 +323,7 @@ def draw_cost(study: dict) -> None:
     right.set_ylabel("wall-clock to 2 %, s")
     right.legend(fontsize="small")
     left.set_xticks(place, rows, rotation=60, ha="right")
+    right.set_xticks(range(len(timed)), timed, rotation=60, ha="right")
     for axes in (left, right):
         axes.set_ylim(0, 1.3 * axes.get_ylim()[1])  # room for the legend
     figure.savefig(FIGURES / "operators_cost.png")

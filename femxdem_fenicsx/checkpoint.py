@@ -29,7 +29,8 @@ from mpi4py import MPI
 from .collective import together
 from .writing import hdf5_bytes, sync_folder, write_synced
 
-FORMAT, VERSION = "femxdem checkpoint", 1
+#: Format 1 knows nothing of what the solver has learnt, and reads as one without.
+FORMAT, VERSION = "femxdem checkpoint", 2
 MANIFEST, SUMS = "manifest.h5", "SHA256SUMS"
 #: Checkpoints that are kept.
 KEPT = 2

@@ -3,13 +3,14 @@
 In the papers a boss sends whole packings to whoever is idle. Here every packing lives on a home
 rank, which need not be the rank of its quadrature point, and an evaluation moves nothing but F
 there and the stress back. An evaluation starts from the committed state, so before any of them
-packings can change their homes: they do where the steps that they took in the last one, which is
-much like the next, promise that it pays.
+packings can change their homes: they do where the steps that they are about to take promise that
+it pays. Those of the loading follow from F; those of the hold are guessed from the last one.
 """
 
 from __future__ import annotations
 
 import heapq
+import math
 from collections import Counter
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
@@ -17,15 +18,17 @@ from typing import NamedTuple, Protocol
 import h5py
 import numpy as np
 from mpi4py import MPI
+from numba import njit
 
 from .collective import together
 from .law import Law
 
-#: Steps of a packing's DEM that take as long as sending it to another rank, and as copying one
-#: that stays into new arrays, which is done whenever the rank's packings change (docs/cluster.md).
-STEPS_PER_MOVE, STEPS_PER_STAY = 20.0, 5.0
-#: Evaluations within which a move must pay.
-EVALUATIONS_TO_PAY = 10
+#: Steps of a packing's DEM that take as long as a change of homes, beside what it takes for each
+#: packing: sending it to another rank, or copying one that stays into new arrays, which is done
+#: where the rank's packings change (docs/cluster.md).
+STEPS_PER_CHANGE, STEPS_PER_MOVE, STEPS_PER_STAY = 60.0, 3.0, 2.0
+#: Evaluations within which a change must pay: the next ones are not much like this one.
+EVALUATIONS_TO_PAY = 2
 #: A placement stands while the busiest rank has at most this over the mean.
 IMBALANCE_ALLOWED = 1.02
 
@@ -35,13 +38,15 @@ class MovableLaw(Law, Protocol):
 
     Attributes:
         FIELDS: the attributes that are arrays with a value for each point.
-        cost: steps that each point took in its last evaluation, (n,), integers.
         threads: that share the points of a rank.
     """
 
     FIELDS: tuple[str, ...]
-    cost: np.ndarray
     threads: int
+
+    def expected_cost(self, F: np.ndarray) -> np.ndarray:
+        """Steps that each point is likely to take at F (n, d, d), (n,), integers."""
+        ...
 
     def state(self) -> dict[str, np.ndarray]:
         """The committed state: arrays with one row per point."""
@@ -65,58 +70,86 @@ def loads(cost: np.ndarray, home: np.ndarray, ranks: int) -> np.ndarray:
     return np.bincount(home, weights=cost, minlength=ranks)
 
 
-def place(cost: np.ndarray, home: np.ndarray, ranks: int) -> np.ndarray:
-    """New homes (n,): the longest first, each to the least loaded rank, or left where it is.
+def place(cost: np.ndarray, home: np.ndarray, ranks: int, threads: int = 1) -> np.ndarray:
+    """New homes (n,): the longest first, each to the least loaded thread, or left where it is.
 
-    Graham's longest processing time first gives the load that no rank should exceed; a packing
+    Graham's longest processing time first gives the load that no thread should exceed; a packing
     that its present home can take within that load stays there.
 
     Args:
         cost: of each packing, (n,).
         home: rank where each is now, (n,).
         ranks: how many there are.
+        threads: that share the packings of a rank.
     """
-    order = np.argsort(-cost, kind="stable")
-    longest_first = _longest_first(cost, order, home, ranks, 0.0)
-    limit = loads(cost, longest_first, ranks).max(initial=0.0)
-    return _longest_first(cost, order, home, ranks, limit * (1 + 1e-12))
+    return _place(cost, home, ranks, threads)[0]
 
 
-def _longest_first(cost, order, home, ranks: int, limit: float) -> np.ndarray:
-    """Packings in `order` to the least loaded rank, or to their home if its load stays in limit."""
-    load = np.zeros(ranks)
+def _place(cost, home, ranks: int, threads: int) -> tuple[np.ndarray, float]:
+    """New homes, and the load of the busiest thread there."""
+    cost, order = np.asarray(cost, np.float64), np.argsort(-cost, kind="stable")
+    _, limit = _longest_first(cost, order, home, ranks, threads, 0.0)
+    return _longest_first(cost, order, home, ranks, threads, limit * (1 + 1e-12))
+
+
+@njit(cache=True)
+def _longest_first(cost, order, home, ranks, threads, limit):
+    """Packings in `order` to the least loaded thread, or to one at home if its load is in limit."""
+    load = np.zeros((ranks, threads))  # each row is a heap
     heap = [(0.0, rank) for rank in range(ranks)]
     new = np.empty_like(home)
     for packing in order:
         rank = home[packing]
-        if load[rank] + cost[packing] > limit:
-            while heap[0][0] != load[heap[0][1]]:  # an old entry of a rank that has got more since
+        if load[rank, 0] + cost[packing] > limit:
+            while heap[0][0] != load[heap[0][1], 0]:  # an old entry: the rank has got more since
                 heapq.heappop(heap)
             rank = heap[0][1]
         new[packing] = rank
-        load[rank] += cost[packing]
-        heapq.heappush(heap, (load[rank], rank))
-    return new
+        _add(load[rank], cost[packing])
+        heapq.heappush(heap, (load[rank, 0], rank))
+    return new, load.max()
+
+
+@njit(cache=True)
+def _add(heap, cost):
+    """Add to the least entry of a heap."""
+    heap[0] += cost
+    at = 0
+    while True:
+        least = at
+        for child in (2 * at + 1, 2 * at + 2):
+            if child < len(heap) and heap[child] < heap[least]:
+                least = child
+        if least == at:
+            return
+        heap[at], heap[least] = heap[least], heap[at]
+        at = least
+
+
+def busiest(cost: np.ndarray, home: np.ndarray, ranks: int, threads: int) -> float:
+    """Load of the busiest thread, if those of a rank take its packings the longest first."""
+    cost, order = np.asarray(cost, np.float64), np.argsort(-cost, kind="stable")
+    return _longest_first(cost, order, home, ranks, threads, np.inf)[1]
 
 
 def better_homes(cost: np.ndarray, home: np.ndarray, ranks: int, threads: int) -> np.ndarray | None:
-    """New homes (n,), where a few evaluations gain more by them than the move takes; else None.
+    """New homes (n,), where two evaluations gain more by them than the change takes; else None.
 
-    Arguments as those of `place`; `threads` share the packings of a rank.
+    Arguments as those of `place`.
     """
-    load = loads(cost, home, ranks)
-    if imbalance(load) <= IMBALANCE_ALLOWED:
+    if imbalance(loads(cost, home, ranks)) <= IMBALANCE_ALLOWED:
         return None
-    new = place(cost, home, ranks)
-    gain = (load.max() - loads(cost, new, ranks).max()) / threads
+    new, after = _place(cost, home, ranks, threads)
+    gain = busiest(cost, home, ranks, threads) - after
     return new if EVALUATIONS_TO_PAY * gain > price_of(home, new, ranks) else None
 
 
 def price_of(home: np.ndarray, new: np.ndarray, ranks: int) -> float:
     """Steps that packings could take while they change their homes, at the slowest rank."""
     leave, arrive = (np.bincount(h[new != home], minlength=ranks) for h in (home, new))
-    stay = np.bincount(home[new == home], minlength=ranks)
-    return float((STEPS_PER_MOVE * np.maximum(leave, arrive) + STEPS_PER_STAY * stay).max())
+    most = np.maximum(leave, arrive)
+    stay = np.where(most > 0, np.bincount(home[new == home], minlength=ranks), 0)
+    return STEPS_PER_CHANGE + float((STEPS_PER_MOVE * most + STEPS_PER_STAY * stay).max())
 
 
 def imbalance(load: np.ndarray) -> float:
@@ -177,8 +210,10 @@ class DistributedLaw:
 
     def evaluate(self, F: np.ndarray) -> np.ndarray:
         """Stress (size, d, d), Pa, at F (size, d, d). Raises, on all ranks, what the law raises."""
-        self._rehome()
-        at_home = self._to_homes(np.asarray(F, np.float64), "evaluation")
+        F = np.asarray(F, np.float64)
+        at_home = self._to_homes(F, "evaluation")
+        if self._rehome(together(self._comm, self.law.expected_cost, at_home)):
+            at_home = self._to_homes(F, "evaluation")
         return self._to_points(together(self._comm, self.law.evaluate, at_home), "evaluation")
 
     def tangent(self) -> np.ndarray:
@@ -214,22 +249,23 @@ class DistributedLaw:
 
     # ---- moving house ---------------------------------------------------------------------------
 
-    def _rehome(self) -> None:
-        """Move packings if the last evaluation says that the next ones gain by it."""
+    def _rehome(self, expected: np.ndarray) -> bool:
+        """Move packings if their expected costs (n,) say that this evaluation gains by it."""
         ranks, new = self._comm.size, None
         load = np.empty(ranks, np.int64)
-        self._comm.Allgather(np.array([self.law.cost.sum()], np.int64), load)
+        self._comm.Allgather(np.array([expected.sum()], np.int64), load)
         busy = imbalance(load)
         if busy > IMBALANCE_ALLOWED:
-            cost = self._everywhere(self.law.cost)
+            cost = self._everywhere(expected)
             new = better_homes(cost, self._home, ranks, self._threads)
         if new is None:
             self.balance = Balance(busy, busy, 0)
-            return
+            return False
         moved = int((new != self._home).sum())
         self.balance = Balance(busy, imbalance(loads(cost, new, ranks)), moved)
         self.moved += moved
         self.move(new)
+        return True
 
     def _everywhere(self, at_home: np.ndarray) -> np.ndarray:
         """Integers of the packings at home here -> those of all packings, on all ranks."""
@@ -254,17 +290,19 @@ class DistributedLaw:
         staying = there[old[there] == rank]
         to, since = (np.bincount(ends, minlength=ranks) for ends in (home[leaving], old[arriving]))
         state = self.law.state()
-        for name in sorted(state):
-            rows = state[name]
-            sent = np.ascontiguousarray(rows[np.searchsorted(here, leaving)])
-            received = np.empty((len(arriving), *rows.shape[1:]), rows.dtype)
-            width = rows.dtype.itemsize * int(np.prod(rows.shape[1:]))
-            self._comm.Alltoallv(_bytes(sent, to * width), _bytes(received, since * width))
-            state[name] = np.empty((len(there), *rows.shape[1:]), rows.dtype)
-            state[name][np.searchsorted(there, staying)] = rows[np.searchsorted(here, staying)]
-            state[name][np.searchsorted(there, arriving)] = received
-            self.sent["moves"] += sent.nbytes
+        sent = _packed({name: rows[np.searchsorted(here, leaving)] for name, rows in state.items()})
+        received = np.empty((len(arriving), sent.shape[1]), np.uint8)
+        width = sent.shape[1]
+        self._comm.Alltoallv(_bytes(sent, to * width), _bytes(received, since * width))
+        self.sent["moves"] += sent.nbytes
         self._settle(home)
+        if len(leaving) + len(arriving) == 0:
+            together(self._comm, self.law.discard)
+            return
+        stays = np.searchsorted(here, staying)
+        place = np.argsort(np.concatenate([staying, arriving]))
+        for name, new in _unpacked(received, state).items():
+            state[name] = np.concatenate([state[name][stays], new])[place]
         together(self._comm, self.law.restore, state)
 
     def _settle(self, home: np.ndarray) -> None:
@@ -306,6 +344,33 @@ class DistributedLaw:
         result = np.empty_like(arriving)
         result[comes] = arriving
         return result
+
+
+def _packed(arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """Arrays with n rows -> the bytes of each row, one array after the other, (n, bytes)."""
+    columns = [_flat(arrays[name]).view(np.uint8) for name in _with_content(arrays)]
+    return np.ascontiguousarray(np.concatenate(columns, axis=1))
+
+
+def _unpacked(rows: np.ndarray, like: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What `_packed` has packed: arrays as those of `like`, but with other rows."""
+    found, start = {}, 0
+    for name, array in like.items():
+        found[name] = np.empty((len(rows), *array.shape[1:]), array.dtype)
+    for name in _with_content(like):
+        bytes_ = _flat(found[name]).view(np.uint8)
+        bytes_[:] = rows[:, start : start + bytes_.shape[1]]
+        start += bytes_.shape[1]
+    return found
+
+
+def _with_content(arrays: dict[str, np.ndarray]) -> list[str]:
+    return [name for name in sorted(arrays) if math.prod(arrays[name].shape[1:]) > 0]
+
+
+def _flat(array: np.ndarray) -> np.ndarray:
+    """As (n, values of a row): a view where the array is contiguous."""
+    return np.ascontiguousarray(array).reshape(len(array), math.prod(array.shape[1:]))
 
 
 def _bytes(array: np.ndarray, counts: np.ndarray) -> list:

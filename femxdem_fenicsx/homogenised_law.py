@@ -36,6 +36,14 @@ COUNTS = np.dtype(
 )
 
 
+#: In names of what rejected and pending tries have changed, and a resumed run must not know of.
+WITH_TRIALS = "_with_trials"
+
+
+def _copies(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {name: array.copy() for name, array in arrays.items()}
+
+
 class Tally:
     """What the packings of this rank have done so far, in all their evaluations.
 
@@ -128,6 +136,7 @@ class HomogenisedLaw:
         self._identity = np.eye(self.dim)
         self.tally = Tally(size)
         self._committed_tally = self.tally.by_packing.copy()
+        self._committed_memory = _copies(self._memory)
         self._F = np.broadcast_to(self._identity, (size, self.dim, self.dim))
         self._initial_box = self.response.committed.box.copy()
         one = Response(packing, 1, accuracy)  # a rank may have no packing at first
@@ -147,7 +156,7 @@ class HomogenisedLaw:
         if np.shape(F) != shape:
             raise ValueError(f"F has shape {np.shape(F)}, expected {shape}")
         started = perf_counter()
-        F = self._identity + np.round((F - self._identity) / STRAIN_QUANTUM) * STRAIN_QUANTUM
+        F = self._rounded(F)
         try:
             outcome = self.response.deform(F)
         except (ValueError, FloatingPointError) as error:
@@ -155,6 +164,19 @@ class HomogenisedLaw:
         self._F = F
         self.tally.add(outcome, perf_counter() - started)
         return outcome.stress.copy()
+
+    def _rounded(self, F: np.ndarray) -> np.ndarray:
+        return self._identity + np.round((F - self._identity) / STRAIN_QUANTUM) * STRAIN_QUANTUM
+
+    def expected_cost(self, F: np.ndarray) -> np.ndarray:
+        """Steps of the DEM that each packing will take at F, (n,); only the hold's are a guess.
+
+        Raises InadmissibleDeformation for an F that is no deformation.
+        """
+        try:
+            return self.response.expected_steps(self._rounded(F))
+        except ValueError as error:
+            raise InadmissibleDeformation(str(error)) from None
 
     def tangent(self) -> np.ndarray:
         """C = d sigma / d F (n, d, d, d, d), Pa, at the last trial, by the law's operator.
@@ -172,6 +194,7 @@ class HomogenisedLaw:
         """The trial becomes the state."""
         self.response.commit()
         self._committed_tally = self.tally.by_packing.copy()
+        self._committed_memory = _copies(self._memory)
         self._F = np.broadcast_to(self._identity, (self.size, self.dim, self.dim))
 
     def discard(self) -> None:
@@ -181,21 +204,25 @@ class HomogenisedLaw:
 
     def state(self) -> dict[str, np.ndarray]:
         """The committed state, the whole of it: arrays with one row per packing."""
+        self.response.committed.clear_unused()
+        return self._arrays()
+
+    def _arrays(self) -> dict[str, np.ndarray]:
         response = self.response
-        response.committed.clear_unused()
         arrays = {name: getattr(response.committed, name) for name in PackingBatch.STATE}
         arrays = {name: array for name, array in arrays.items() if array is not None}
         for name, array in response.committed_outcome._asdict().items():
             arrays[f"outcome/{name}"] = array
         for name, array in self._memory.items():
-            arrays[f"operator/{name}"] = array
+            arrays[f"operator/{name}"] = self._committed_memory[name]
+            arrays[f"operator{WITH_TRIALS}/{name}"] = array
         if response.friction is not None:
             arrays["friction"] = response.friction
         return arrays | {
             "initial_box": self._initial_box,
-            "cost": response.cost,
+            "held": response.held,
             "tally": self._committed_tally,
-            "tally_with_trials": self.tally.by_packing,
+            f"tally{WITH_TRIALS}": self.tally.by_packing,
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
@@ -205,7 +232,7 @@ class HomogenisedLaw:
 
         Raises ValueError, and changes nothing, for arrays other than this law's.
         """
-        own = self.state()
+        own = self._arrays()
         missing = sorted(own.keys() ^ state.keys())
         if missing:
             raise ValueError(f"a state of another law: not in both are {', '.join(missing)}")
@@ -217,19 +244,20 @@ class HomogenisedLaw:
         state = {name: np.asarray(array, own[name].dtype) for name, array in state.items()}
         self._initial_box = state.pop("initial_box")
         self._committed_tally = state.pop("tally")
-        self.tally.by_packing = state.pop("tally_with_trials")
+        self.tally.by_packing = state.pop(f"tally{WITH_TRIALS}")
         self.response.friction = state.pop("friction", None)
         outcome = {name: state.pop(f"outcome/{name}") for name in Outcome._fields}
         for name in self._memory:
-            self._memory[name] = state.pop(f"operator/{name}")
+            self._committed_memory[name] = state.pop(f"operator/{name}")
+            self._memory[name] = state.pop(f"operator{WITH_TRIALS}/{name}")
         self.size = size
-        self.response.restore(state, Outcome(**outcome), state.pop("cost"))
-        self.discard()
+        self.response.restore(state, Outcome(**outcome), state.pop("held"))
+        self._F = np.broadcast_to(self._identity, (size, self.dim, self.dim))
 
     def save(self, group: h5py.Group) -> None:
         """Write the committed state into an HDF5 group, one row per packing."""
         for name, array in self.state().items():
-            if name != "tally_with_trials":  # a resumed run tries again
+            if WITH_TRIALS not in name:  # a resumed run tries again
                 group[name] = array
 
     def load(self, group: h5py.Group) -> None:
@@ -243,12 +271,16 @@ class HomogenisedLaw:
                 state.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None
             )
         )
-        self.restore(state | {"tally_with_trials": state["tally"].copy()})
-
-    @property
-    def cost(self) -> np.ndarray:
-        """Steps of the DEM that each packing took in its last evaluation, (n,)."""
-        return self.response.cost
+        if state.pop("cost", None) is not None:  # of the first format
+            state["held"] = state["outcome/hold_steps"].copy()
+        memory = {name: state.get(f"operator/{name}") for name in self._memory}
+        state = {name: array for name, array in state.items() if not name.startswith("operator/")}
+        for name, array in memory.items():
+            if array is None:  # another operator was at work
+                array = np.zeros_like(self._memory[name])
+            state[f"operator/{name}"] = array
+            state[f"operator{WITH_TRIALS}/{name}"] = array.copy()
+        self.restore(state | {f"tally{WITH_TRIALS}": state["tally"].copy()})
 
     @property
     def threads(self) -> int:

@@ -94,8 +94,7 @@ class _Analytic:
         self.size = len(next(iter(self._state.values())))
         self._trial = self._state
 
-    @property
-    def cost(self) -> np.ndarray:
+    def expected_cost(self, F: np.ndarray) -> np.ndarray:
         """Nothing that could be counted."""
         return np.zeros(self.size, np.int64)
 
@@ -282,14 +281,15 @@ class ShearSoftening(_Analytic):
     ):
         lame, self._shear = _lame(young, poisson)
         self._bulk = lame + 2 * self._shear / dim
-        self._threshold = np.broadcast_to(np.asarray(threshold, dtype=float), (size,)).copy()
+        threshold = np.broadcast_to(np.asarray(threshold, dtype=float), (size,)).copy()
         self._ductility = ductility
-        if not ((self._threshold > 0).all() and ductility > 0):
+        if not ((threshold > 0).all() and ductility > 0):
             raise ValueError(
-                f"softening threshold {self._threshold.min()}, ductility {ductility}: both must be "
+                f"softening threshold {threshold.min()}, ductility {ductility}: both must be "
                 "positive"
             )
-        super().__init__(dim, strain=np.zeros((size, dim, dim)), kappa=self._threshold)
+        strain = np.zeros((size, dim, dim))
+        super().__init__(dim, strain=strain, kappa=threshold, threshold=threshold)
 
     @property
     def deviatoric_strain(self) -> np.ndarray:
@@ -301,9 +301,9 @@ class ShearSoftening(_Analytic):
         strain = self._state["strain"] + 0.5 * (F + F.transpose(0, 2, 1)) - delta
         deviator = self._deviator(strain)
         kappa = np.maximum(self._state["kappa"], np.linalg.norm(deviator, axis=(1, 2)))
-        ratio = kappa / self._threshold
+        ratio = kappa / self._state["threshold"]
         intact = np.exp((1 - ratio) / self._ductility) / ratio
-        self._trial = {"strain": strain, "kappa": kappa}
+        self._trial = self._state | {"strain": strain, "kappa": kappa}
         self._last = (deviator, kappa, intact)
         mean = np.trace(strain, axis1=1, axis2=2)[:, None, None] * delta
         return self._bulk * mean + 2 * self._shear * intact[:, None, None] * deviator
@@ -317,7 +317,8 @@ class ShearSoftening(_Analytic):
         delta, grows = np.eye(self.dim), kappa > self._state["kappa"]
         spheric = np.einsum("ij,kl->ijkl", delta, delta)
         symmetric = np.einsum("ik,jl->ijkl", delta, delta) + np.einsum("il,jk->ijkl", delta, delta)
-        fall = intact * (1 / (self._ductility * self._threshold) + 1 / kappa) / kappa
+        threshold = self._state["threshold"]
+        fall = intact * (1 / (self._ductility * threshold) + 1 / kappa) / kappa
         slope = np.where(grows, -fall, 0.0)
         return (
             self._bulk * spheric

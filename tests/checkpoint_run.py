@@ -138,8 +138,9 @@ def specimen(folder: Path, *options: str) -> None:
     """Compress a softening specimen.
 
     Options: --resume, digest (of the state), stop (on a failure to write), end=, every=,
-    threshold= (a law parameter), and what is to go wrong: kill=, term= (a signal at that
-    evaluation), law=, output=, solve= (an error of a rank at that call), limit= (on file sizes).
+    threshold=, modulus= (of the law, of the second gradient), and what is to go wrong: kill=,
+    term= (a signal at that evaluation), law=, output=, solve= (an error of a rank at that call),
+    limit= (on file sizes).
     """
     from femxdem_fenicsx import distribution, script
     from femxdem_fenicsx.fem import problem
@@ -176,7 +177,8 @@ def specimen(folder: Path, *options: str) -> None:
 
     def main(comm: MPI.Comm) -> int:
         writable_folder(comm, folder)
-        body = Specimen(law_of, rough=True, tolerance=1e-10)
+        modulus = float(given["modulus"]) if "modulus" in given else None
+        body = Specimen(law_of, rough=True, tolerance=1e-10, modulus=modulus)
         if "solve" in given:
             assemble = problem._dolfinx.assemble_matrix
             counted = iter(range(1, 1000))

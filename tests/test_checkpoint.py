@@ -31,6 +31,7 @@ MODULE = "tests.checkpoint_run"
 #: Open MPI then starts no helper beside a process that is alone.
 ALONE = {**os.environ, "OMP_NUM_THREADS": "1", "OMPI_MCA_ess_singleton_isolated": "1"}
 SELF = MPI.COMM_SELF
+STOPPED = 128 + signal.SIGTERM
 END = "end=0.0135"  # with cut steps from 0.012 on
 
 
@@ -72,9 +73,9 @@ def test_a_run_killed_at_thirty_moments_goes_on_from_the_last_that_it_told(tmp_p
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """Folder of a run that nothing has stopped."""
+    """Folder of a run that nothing has stopped, with a checkpoint at its end alone."""
     folder = tmp_path_factory.mktemp("whole")
-    run = specimen(folder, END)
+    run = specimen(folder, END, "every=1000")
     assert run.returncode == 0, run.stderr
     rows = history(folder).splitlines()
     assert any(row.split(",")[5] != "0" for row in rows[1:])  # steps are cut on the way
@@ -82,7 +83,8 @@ def whole(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    "trouble, code", [("kill=41", -signal.SIGKILL), ("term=54", 128 + signal.SIGTERM)]
+    "trouble, code",
+    [("kill=17", -signal.SIGKILL), ("kill=54", -signal.SIGKILL), ("term=165", STOPPED)],
 )
 def test_a_run_that_was_stopped_and_resumed_has_the_same_history_and_fields(
     whole, tmp_path, trouble, code
@@ -100,6 +102,21 @@ def test_a_run_that_was_stopped_and_resumed_has_the_same_history_and_fields(
     assert "going on from" in log(tmp_path)
     if code > 0:
         assert "stopped by SIGTERM" in log(tmp_path)
+
+
+def test_on_two_ranks_too_with_the_second_gradient_and_all_that_a_solver_keeps(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setenv("PETSC_OPTIONS", "-femxdem_snes_anderson_keep 1")
+    whole, stopped = tmp_path / "whole", tmp_path / "stopped"
+    for folder, *options in ((whole, "every=1000"), (stopped, "kill=17"), (stopped, "--resume")):
+        options += ["end=0.008", "modulus=0.5"]
+        run = run_on_ranks(2, MODULE, "specimen", str(folder), *options)
+        assert (run.returncode == 0) == ("kill=17" not in options), run.stderr
+        if "kill=17" in options:
+            assert 1 < len(history(stopped).splitlines()) < 5
+    assert len(history(whole).splitlines()) == 5
+    assert history(stopped) == history(whole)
 
 
 def readable(folder: Path) -> int:
@@ -230,7 +247,10 @@ def test_a_checkpoint_of_the_first_format_is_gone_on_with(tmp_path):
     command = [sys.executable, "demos/biaxial.py", "--output", str(tmp_path), "--resume", "--quiet"]
     scene = ["--grains", "60", "--seed", "2", "--mesh", "1", "1", "--accuracy", "fast"]
     run = subprocess.run(
-        [*command, *scene, "--strain", "0.005"], cwd=ROOT, capture_output=True, text=True
+        [*command, *scene, "--strain", "0.005", "--tolerance", "1e-3"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
     )
     assert run.returncode == 0, run.stderr
     found, expected = (
@@ -240,8 +260,8 @@ def test_a_checkpoint_of_the_first_format_is_gone_on_with(tmp_path):
     assert len(found) == len(expected) == 5
     for name in set(expected.dtype.names) - {"seconds"}:
         assert np.array_equal(found[name][:3], expected[name][:3]), name
-    for name in ("stress_ratio", "void_ratio"):  # the solver may be another one by now
-        np.testing.assert_allclose(found[name][3:], expected[name][3:], rtol=2e-2, err_msg=name)
+    for name in ("stress_ratio", "void_ratio"):  # other solvers end that near: see its README
+        np.testing.assert_allclose(found[name][3:], expected[name][3:], rtol=1e-3, err_msg=name)
 
 
 def test_checksums_are_those_of_sha256sum(tmp_path):

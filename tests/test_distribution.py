@@ -10,8 +10,9 @@ import pytest
 from femxdem_fenicsx.dem.contacts import LinearContact
 from femxdem_fenicsx.dem.files import save_packing
 from femxdem_fenicsx.dem.preparation import random_packing
-from femxdem_fenicsx.distribution import IMBALANCE_ALLOWED, loads, place
+from femxdem_fenicsx.distribution import IMBALANCE_ALLOWED, better_homes, busiest, loads, place
 from tests.mpi import ROOT, run_on_ranks
+from tests.reference import DATA
 
 MODULE = "tests.distribution_run"
 
@@ -35,6 +36,27 @@ def test_no_rank_gets_more_than_graham_allows(ranks):
     assert load.sum() == pytest.approx(cost.sum())
     if ranks <= 10:
         assert load.max() <= IMBALANCE_ALLOWED * least
+
+
+@pytest.mark.parametrize("ranks, threads", [(2, 25), (5, 10), (10, 3)])
+def test_no_thread_gets_more_than_graham_allows(ranks, threads):
+    cost, workers = costs(), ranks * threads
+    home = np.minimum(np.arange(512) ** 2 // 512, 511) * ranks // 512
+    least = max(cost.sum() / workers, cost.max())
+    before, after = (
+        busiest(cost, h, ranks, threads) for h in (home, place(cost, home, ranks, threads))
+    )
+    assert after <= (4 / 3 - 1 / (3 * workers)) * least < before
+
+
+def test_nothing_moves_where_the_longest_packing_sets_the_time_anyway():
+    home = np.arange(8) // 2
+    cost = np.array([9, 1, 2, 2, 2, 2, 2, 2]) * 1e6
+    assert loads(cost, home, 4).max() > IMBALANCE_ALLOWED * cost.sum() / 4
+    assert better_homes(cost, home, 4, threads=2) is None
+    moved = better_homes(cost, home, 4, threads=1)
+    assert loads(cost, moved, 4).max() == 9e6
+    assert better_homes(cost / 1e5, home, 4, threads=1) is None  # it takes longer than it gains
 
 
 def test_packings_that_may_stay_at_home_do():
@@ -101,6 +123,19 @@ def test_an_evaluation_sends_F_there_and_the_stress_back_and_nothing_else(states
     assert told[1, 1, "stay"]["sent"] == 0
     per_point = 2 * 4 * 8  # F and stress
     assert 0 < told[2, 1, "stay"]["sent"] <= 7 * 8 * per_point  # 7 points, 8 evaluations
+
+
+def test_spheres_in_plane_strain_answer_the_same_on_two_ranks():
+    """The law in 3D lives on other ranks than the points of the plane."""
+    found = []
+    for ranks in (1, 2):
+        run = run_on_ranks(ranks, MODULE, "plane_strain", str(DATA))
+        assert run.returncode == 0, run.stderr
+        found.append(json.loads(run.stdout))
+    one, two = found
+    assert len(one["shown"]) == 2 and one["evaluations"] == two["evaluations"]
+    np.testing.assert_allclose(two["shown"], one["shown"], rtol=1e-8, atol=1e-3)
+    assert np.abs(one["shown"]).max() > 1e5
 
 
 def test_costs_that_differ_thirty_times_are_balanced_before_they_are_paid_again():

@@ -169,6 +169,21 @@ def test_measures_are_those_of_the_committed_packings(packing):
     assert not law.failed.any()
 
 
+def test_the_steps_to_load_are_known_before_and_those_to_hold_are_as_the_last(packing):
+    law = walked(packing)
+    held = law.response.outcome.hold_steps
+    for seed, size in ((5, 1.0), (6, 10.0), (7, 0.0)):
+        F = np.eye(2) + size * (increments(seed) - np.eye(2))
+        expected = law.expected_cost(F)
+        law.evaluate(F)
+        outcome = law.response.outcome
+        np.testing.assert_array_equal(expected, outcome.loading_steps + held)
+        held = outcome.hold_steps
+    assert len(set(outcome.loading_steps)) == 1  # none to speak of, where F = I
+    with pytest.raises(InadmissibleDeformation):
+        law.expected_cost(-F)
+
+
 def test_the_tally_counts_what_was_done_and_holds_that_did_not_end(packing):
     law = HomogenisedLaw(packing, SIZE, FAST.but(hold_limit=25, tolerance=1e-8))
     law.evaluate(increments(0))
@@ -211,6 +226,41 @@ def test_a_saved_law_comes_back_bit_for_bit_and_goes_on_with_the_same_bits(
         np.testing.assert_array_equal(again.tangent(), law.tangent())
         law.commit()
         again.commit()
+
+
+def test_what_an_operator_learns_from_a_trial_is_not_saved(packing, tmp_path):
+    laws = [walked(packing, "PSTLO-secant") for _ in range(2)]
+    for law in laws:
+        law.evaluate(increments(2))
+        law.tangent()
+        law.commit()
+    law, other = laws
+    law.evaluate(np.eye(2) + 5 * (increments(3) - np.eye(2)))
+    law.tangent()  # far enough to be computed anew
+    again = HomogenisedLaw(packing, SIZE, FAST, "PSTLO-secant")
+    with h5py.File(tmp_path / "law.h5", "w") as file:
+        law.save(file)
+        again.load(file)
+    answers = []
+    for one in (again, other, law):
+        one.discard()
+        one.evaluate(increments(4))
+        answers.append(one.tangent())
+    np.testing.assert_array_equal(answers[0], answers[1])
+    assert not np.array_equal(answers[0], answers[2])
+
+
+def test_a_law_goes_on_with_another_operator_than_the_one_it_was_saved_with(packing, tmp_path):
+    for first, second in (("UKO", "PSTLO-secant"), ("PSTLO-secant", "UKO")):
+        law = walked(packing, first)
+        law.tangent()
+        law.commit()
+        again = HomogenisedLaw(packing, SIZE, FAST, second)
+        with h5py.File(tmp_path / f"{first}.h5", "w") as file:
+            law.save(file)
+            again.load(file)
+        np.testing.assert_array_equal(again.evaluate(increments(4)), law.evaluate(increments(4)))
+        assert np.isfinite(again.tangent()).all()
 
 
 def test_a_trial_is_not_saved(packing, tmp_path):

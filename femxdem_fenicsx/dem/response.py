@@ -13,6 +13,7 @@ from .contacts import ContactLaw
 from .dynamics import NO_ROOM, OK, Material, Workspace, workspace
 from .homogenisation import fabric, largest_overlap, stress, touching
 from .loading import (
+    FEWEST_STEPS,
     Loading,
     Outcome,
     deform_in_turn,
@@ -75,7 +76,7 @@ class Response:
         friction: (B,) contact friction of each packing; None where it is the contact law's.
         outcome: what was measured at `latest`. committed_outcome: the same at `committed`.
         pressure: (B,) Pa, of the committed state. time_step: (B,) s, longest that is stable there.
-        commits: how often a trial became the state.
+        commits: how often a trial became the state. held: (B,) steps of each packing's last hold.
     """
 
     def __init__(
@@ -121,7 +122,7 @@ class Response:
         self.committed_outcome.at_rest[:] = True
         self._first_overlap = overlap
         self.commits = 0
-        self.cost = np.zeros(size, np.int64)
+        self.held = np.zeros(size, np.int64)
         self.discard()
 
     @property
@@ -138,8 +139,22 @@ class Response:
         """
         self.outcome = self._run(F, np.arange(self.size), self.trial.state)
         self.latest = self.trial
-        self.cost = self.outcome.loading_steps + self.outcome.hold_steps
+        self.held = self.outcome.hold_steps
         return self.outcome
+
+    def expected_steps(self, F: np.ndarray) -> np.ndarray:
+        """Steps (B,) that `deform` will take at F (B, d, d): to load, exactly; to hold, as before.
+
+        Raises ValueError for an F that is not a deformation.
+        """
+        return self._expected_steps(shear_of(logarithm(F)), np.arange(self.size), self.loading)
+
+    def _expected_steps(self, shear, packings, loading: Loading) -> np.ndarray:
+        pressure = np.maximum(self.pressure[packings], loading.least_pressure)
+        speed = loading.inertial_number * np.sqrt(pressure / loading.density)
+        duration = shear * loading.mean_diameter / speed  # tau of eq. 18
+        steps = np.ceil(duration / self.time_step[packings]).astype(np.int64)
+        return np.maximum(steps, FEWEST_STEPS) + self.held[packings]
 
     def probe(
         self,
@@ -175,21 +190,21 @@ class Response:
         packing = self.committed.template
         first = max(self._first_overlap, packing.overlap_under(self.loading.least_pressure))
         steps = np.full(self.size, self.loading.time_step)
+        diameter = packing.mean_diameter
+        modulus = packing.contact_modulus(first * diameter)
         for b in np.flatnonzero(self.outcome.overlap > first):
-            stiffening = packing.contact_modulus(
-                self.outcome.overlap[b] * packing.mean_diameter
-            ) / packing.contact_modulus(first * packing.mean_diameter)
+            stiffening = packing.contact_modulus(self.outcome.overlap[b] * diameter) / modulus
             steps[b] /= np.sqrt(max(stiffening, 1.0))
         return steps
 
-    def restore(self, state: dict[str, np.ndarray], outcome: Outcome, cost: np.ndarray) -> None:
-        """Take over committed arrays of `PackingBatch.STATE`, what was measured, and the cost.
+    def restore(self, state: dict[str, np.ndarray], outcome: Outcome, held: np.ndarray) -> None:
+        """Take over committed arrays of `PackingBatch.STATE`, what was measured, and the holds.
 
         Of any number of packings, which have the template's grains. The trial is forgotten.
         """
         room = {name: np.empty_like(array) for name, array in state.items()}
         self.committed, self.trial = (replace(self.committed, **s) for s in (state, room))
-        self.committed_outcome, self.cost = outcome, cost
+        self.committed_outcome, self.held = outcome, held
         self.discard()
 
     def _run(self, F, packings, new, start=None, material=None, loading=None) -> Outcome:
@@ -202,7 +217,8 @@ class Response:
         outcome = Outcome.of(len(packings), self.committed.template.dim)
         places = np.zeros_like(packings) if new is None else packings
         status = np.full(len(packings), NO_ROOM)
-        expensive_first = np.argsort(-self.cost[packings], kind="stable")
+        expected = self._expected_steps(shear, packings, loading)
+        expensive_first = np.argsort(-expected, kind="stable")
         for chosen, waiting in self._materials(material, packings, expensive_first):
             self._run_rows(
                 waiting, packings, places, F, log_F, shear, chosen, loading, start, new, outcome,

@@ -202,6 +202,37 @@ def set_cell_values(function, values: np.ndarray) -> None:
     function.x.array.reshape(-1, block)[dofs] = values.reshape(*dofs.shape, block)
 
 
+def cell_dofs(space) -> np.ndarray:
+    """Unblocked dofs of each cell, ghosts included, in the order of `cell_values`, (c, k)."""
+    block = space.dofmap.index_map_bs
+    dofs = dofmap(space)[:, :, None] * block + np.arange(block)
+    return dofs.reshape(len(dofs), -1).astype(PETSc.IntType)
+
+
+def cell_matrices(matrix: PETSc.Mat, space) -> np.ndarray:
+    """Entries of an assembled `matrix` between the dofs of each owned cell, (c, k, k).
+
+    Together they are all entries of a form without integrals over interior facets.
+    """
+    owned = cell_dofs(space)[: number_of_cells(space.mesh)[0]]
+    own, at = np.unique(matrix.getLGMap()[0].apply(owned.ravel()), return_inverse=True)
+    rows = PETSc.IS().createGeneral(own, comm=PETSc.COMM_SELF)
+    (mine,) = matrix.createSubMatrices([rows], [rows])  # with rows of other ranks
+    cells = at.astype(PETSc.IntType).reshape(owned.shape)
+    values = [mine.getValues(cell, cell) for cell in cells]
+    mine.destroy()
+    return np.array(values).reshape(*cells.shape, cells.shape[1])
+
+
+def set_cell_matrices(matrix: PETSc.Mat, space, values: np.ndarray) -> None:
+    """Give a matrix the entries that `cell_matrices` has read, of owned cells at least."""
+    matrix.zeroEntries()
+    owned = cell_dofs(space)[: number_of_cells(space.mesh)[0]]
+    for dofs, entries in zip(owned, values, strict=False):
+        matrix.setValuesLocal(dofs, dofs, entries)
+    matrix.assemble()
+
+
 def _rows(adjacency, count: int) -> np.ndarray:
     flat = adjacency.array if hasattr(adjacency, "array") else np.asarray(adjacency)
     return flat.reshape(count, -1)

@@ -24,6 +24,9 @@ class Anderson:
     ``-snes_anderson_slow`` (0.7), the reduction of |F| from which on K is computed anew, 0 for
     never within a solve; ``-snes_anderson_keep`` (false), whether K and the differences stay from
     solve to solve as long as they serve: of use where K costs more than some evaluations.
+
+    Attributes:
+        keep: see the options. factorised: whether K stays as it is. differences: the last (dX, dG).
     """
 
     SMALLEST_SINGULAR_VALUE = 1e-3  # relative; below it, differences of g are noise
@@ -35,8 +38,8 @@ class Anderson:
 
     def forget(self) -> None:
         """Start anew: compute K at the next iterate, know no differences."""
-        self._factorised = False
-        self._differences: list[tuple[PETSc.Vec, PETSc.Vec]] = []
+        self.factorised = False
+        self.differences: list[tuple[PETSc.Vec, PETSc.Vec]] = []
 
     def setFromOptions(self, snes: PETSc.SNES) -> None:
         options = PETSc.Options(snes.getOptionsPrefix())
@@ -58,7 +61,7 @@ class Anderson:
     def _iterate(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
         before, g, norm, age = None, x.duplicate(), f.norm(), self.PATIENCE
         for iteration in range(1, snes.getTolerances()[3] + 1):
-            if not self._factorised:
+            if not self.factorised:
                 self._factorise(snes, x)
                 before, age = None, 0
             snes.getKSP().solve(f, g)
@@ -68,8 +71,8 @@ class Anderson:
                 return
             g.scale(-1.0)
             if before is not None:
-                self._differences.append((x - before[0], g - before[1]))
-                del self._differences[: -self.m]
+                self.differences.append((x - before[0], g - before[1]))
+                del self.differences[: -self.m]
             before = x.copy(), g.copy()
             update = self._update(g)
             x.axpy(1.0, update)
@@ -85,19 +88,17 @@ class Anderson:
         jacobian, preconditioner = snes.getJacobian()[:2]
         snes.computeJacobian(x, jacobian, preconditioner)
         snes.getKSP().setOperators(jacobian, preconditioner)
-        self._factorised = True
+        self.factorised = True
 
     def _update(self, g: PETSc.Vec) -> PETSc.Vec:
         update = g.copy()
         update.scale(self.beta)
-        if self._differences:
-            gram = np.array(
-                [[p.dot(q) for _, q in self._differences] for _, p in self._differences]
-            )
-            right = np.array([p.dot(g) for _, p in self._differences])
+        if self.differences:
+            gram = np.array([[p.dot(q) for _, q in self.differences] for _, p in self.differences])
+            right = np.array([p.dot(g) for _, p in self.differences])
             smallest = self.SMALLEST_SINGULAR_VALUE**2
             gamma = np.linalg.lstsq(gram, right, rcond=smallest)[0]
-            for weight, (dx, dg) in zip(gamma, self._differences, strict=True):
+            for weight, (dx, dg) in zip(gamma, self.differences, strict=True):
                 update.axpy(-weight, dx)
                 update.axpy(-weight * self.beta, dg)
         return update

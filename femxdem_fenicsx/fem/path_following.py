@@ -98,7 +98,7 @@ def cross(
             viscosity.dt = min(settings.growth * viscosity.dt, settings.longest_time)
     finally:
         problem.viscosity, operator.interrupted = None, interrupted
-    problem.forget()
+    problem.forget(for_good=True)
     return Crossed(
         moves, iterations, residual, work, lost_work, "" if residual <= limit else reason
     )

@@ -16,8 +16,8 @@ from petsc4py import PETSc
 from ..collective import together
 from ..law import InadmissibleDeformation
 from . import _dolfinx
-from .anderson import Anderson
 from .external_operator import ExternalOperator
+from .learnt import Learnt, cell_rows, from_cell_rows
 from .mesh_motion import MeshMotion
 from .options import PREFIX, defaults
 from .viscosity import Viscosity
@@ -29,6 +29,8 @@ REASONS = {
 }
 
 
+#: A change of the increment goes on if its error as a forecast was this share of that of none.
+CLEARLY = 0.7
 #: What the iteration of a step can start from, see `Problem`.
 FIRST_GUESSES = ("increment", "tangent")
 
@@ -127,8 +129,9 @@ class Problem:
             steps in place (through a Constant or a Function).
         convergence: criteria.
         prefix: of the PETSc options.
-        first_guess: "increment", the last increment scaled, corrected by what the last step left
-            out of balance; or "tangent", the linear response to the prescribed values.
+        first_guess: "increment", the last increment scaled, with its change if that goes on, less
+            what the last step left out of balance; or "tangent", the linear response to the
+            prescribed values.
 
     Raises:
         ValueError: an unknown first guess.
@@ -168,12 +171,13 @@ class Problem:
         self._failure: Exception | None = None
         self._last_step: tuple[float, np.ndarray] | None = None
         self._size = self._x.local_size
+        self._change, self._goes_on = np.zeros(self._size), False
         self.first_guess = first_guess
-        self._assembled = False
         self._last_forces: PETSc.Vec | None = None
         self.viscosity: Viscosity | None = None
         self.work = self.lost_work = 0.0
         self.snes = self._create_snes(prefix)
+        self._learnt = Learnt(self.snes, self._matrix, u)
 
     def _create_snes(self, prefix: str) -> PETSc.SNES:
         snes = PETSc.SNES().create(self._comm)
@@ -189,9 +193,10 @@ class Problem:
     def solve(self, step: float = 1.0) -> Solution:
         """Solve for u under the present values of the boundary conditions and loads.
 
-        The first guess is the last increment scaled by the ratio of the steps, less what the last
-        step left out of balance over the last Jacobian, which costs no evaluation. Without a last
-        increment it is the linear response to the prescribed values.
+        The first guess is the last increment scaled by the ratio of the steps, with its change
+        from the one before where that goes on, less what the last step left out of balance over the
+        last Jacobian, which costs no evaluation. Without a last increment it is the linear response
+        to the prescribed values.
 
         Args:
             step: size of this step on the load path; it scales the first guess, nothing else.
@@ -242,8 +247,10 @@ class Problem:
         self.work, self.lost_work = self._works()
         self.motion.move()
         if guides:
+            self._note_trend(step)
             self._last_step = (step, self.u.x.array[: self._size].copy())
         self._last_forces = self._forces.copy()
+        self._learnt.keep()
         self.u.x.array[:] = 0.0
         self._now = None
 
@@ -282,57 +289,52 @@ class Problem:
         """FNORM/RNORM at the last iterate; NaN where there is none."""
         return np.nan if self._now is None else self._now.ratio
 
-    def forget(self) -> None:
+    def forget(self, for_good: bool = False) -> None:
         """Forget what the solver has learnt, but not the last increment: Jacobian, differences.
 
-        Where a run is to go on from a checkpoint to the same bits, it must forget at it too.
+        `for_good`: a run that goes on from the last accepted step does not know it either.
         """
-        self._assembled = False
-        self.snes.getKSP().reset()  # MUMPS orders by the values of the first matrix
-        context = self.snes.getPythonContext() if self.snes.getType() == "python" else None
-        if isinstance(context, Anderson):
-            context.forget()
+        self._learnt.forget()
+        if for_good:
+            self._learnt.keep()
 
     def save(self, group: h5py.Group) -> None:
         """Write what the next step starts from into an HDF5 group: a row per owned cell.
 
-        Between steps alone: u is used for it, and is zero again afterwards. What the solver has
-        learnt is not saved, and forgotten here, so that a resumed run goes on as this one does.
+        That is the end of the last accepted step, and what the solver had learnt by then. Between
+        steps alone: u is used for it, and is zero again afterwards.
         """
         owned = slice(_dolfinx.number_of_cells(self._mesh)[0])
         step, increment = self._last_step or (0.0, np.zeros(self._size))
-        group["increment"] = self._by_cell(increment)[owned]
+        group["increment"] = cell_rows(self.u, increment)[owned]
         group["step"] = np.full(owned.stop, step)
+        group["change"] = cell_rows(self.u, self._change)[owned]
+        group["change_goes_on"] = np.full(owned.stop, self._goes_on)
         group["displacement"] = _dolfinx.cell_values(self.motion.displacement)[owned]
-        if self._last_step is not None and self._last_forces is not None:
-            group["forces"] = self._by_cell(self._last_forces.array_r)[owned]
-        self.forget()
         group["geometry"] = self._mesh.geometry.x[_dolfinx.geometry_dofmap(self._mesh)][owned]
+        if self._last_step is not None and self._last_forces is not None:
+            group["forces"] = cell_rows(self.u, self._last_forces.array_r)[owned]
+        self._learnt.save(group)
 
     def load(self, group: h5py.Group) -> None:
         """Read back what `save` wrote: a row per cell of this rank, ghosts included."""
-        _dolfinx.set_cell_values(self.u, group["increment"][()])
+        increment = from_cell_rows(self.u, group["increment"][()])
         step = float(group["step"][0]) if len(group["step"]) else 0.0
         step = self._comm.allreduce(step, MPI.MAX)
-        self._last_step = (step, self.u.x.array[: self._size].copy()) if step > 0 else None
+        self._last_step = (step, increment) if step > 0 else None
         self._last_forces = None
-        if "forces" in group:  # not in the first format
-            _dolfinx.set_cell_values(self.u, group["forces"][()])
+        if "change" in group:  # not in the first format
+            self._change = from_cell_rows(self.u, group["change"][()])
+            goes_on = bool(group["change_goes_on"][()].any())
+            self._goes_on = self._comm.allreduce(goes_on, MPI.LOR)
+        if "forces" in group:  # neither
             self._last_forces = self._forces.duplicate()
-            self._last_forces.array[:] = self.u.x.array[: self._size]
-        self.forget()
-        self.u.x.array[:] = 0.0
+            self._last_forces.array[:] = from_cell_rows(self.u, group["forces"][()])
+        self._learnt.load(group)
         self._now = None
         _dolfinx.set_cell_values(self.motion.displacement, group["displacement"][()])
         nodes = _dolfinx.geometry_dofmap(self._mesh)
         self._mesh.geometry.x[nodes] = group["geometry"][()]
-
-    def _by_cell(self, owned: np.ndarray) -> np.ndarray:
-        """Values at owned dofs -> by cell, (c, k)."""
-        self._set_u(owned)
-        values = _dolfinx.cell_values(self.u)
-        self.u.x.array[:] = 0.0
-        return values
 
     def reaction(self, dofs: np.ndarray) -> float:
         """Sum of the reactions (internal minus external nodal forces) at `dofs`, N per m.
@@ -351,12 +353,27 @@ class Problem:
         else:
             last, increment = self._last_step
             guess = step / last * increment - self._left_over()
+            if self._goes_on:
+                guess += step * self._change
         guess[self._constrained] = self._values
         return guess
 
+    def _note_trend(self, step: float) -> None:
+        """How the increment per unit of load has changed, and whether that foretells anything.
+
+        It is taken to go on where the change before it would have foretold this step clearly better
+        than no change: up to the peak it does, behind it the grains rearrange.
+        """
+        if self._last_step is None:
+            return
+        last, increment = self._last_step
+        change = self.u.x.array[: self._size] / step - increment / last
+        constant, linear = self._norms(change, change - self._change)
+        self._change, self._goes_on = change, linear < CLEARLY * constant
+
     def _left_over(self) -> np.ndarray:
         """What the last step left out of balance, as a displacement, by the last Jacobian."""
-        if not self._assembled:
+        if not self._learnt.assembled:
             return np.zeros(self._size)
         right = self._last_forces.copy()
         right.array[self._constrained] = 0.0
@@ -415,7 +432,7 @@ class Problem:
         except Exception as error:
             self._failure = error
             raise
-        self._assembled = True
+        self._learnt.renew()
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         reason = PETSc.SNES.ConvergedReason

@@ -10,8 +10,8 @@ from femxdem_fenicsx.law import InadmissibleDeformation, LinearElastic, NeoHooke
 class Counting(NeoHookean):
     """Counts what it is asked."""
 
-    def __init__(self, size: int):
-        super().__init__(size, 100.0, 0.3)
+    def __init__(self, size: int, dim: int = 2):
+        super().__init__(size, 100.0, 0.3, dim)
         self.evaluations = self.tangents = 0
         self.committed_last = True
 
