@@ -23,7 +23,7 @@ from femxdem_fenicsx.dem.preparation import random_packing  # noqa: E402
 from femxdem_fenicsx.laboratory import finish, specimen  # noqa: E402
 
 FRICTIONS = (0.0, 0.1, 0.3, 0.5, 1.0)
-#: Guo-Zhao section 3.3 and 4.2: mu = tan(0.5 rad), dense at e = 0.177, a largest dilation of 4.5 %
+#: Guo-Zhao table I, 3.3.1, 4.2.1: mu = tan(0.5 rad), dense at e = 0.177, largest dilation 4.5 %
 #: at the critical state, hence e = 1.177 * 1.045 - 1. Desrues section 2.4.2 works with mu = 0.5
 #: and tells no angles.
 REPORTED = {0.5: {"critical_void_ratio": 0.230, "source": "Guo-Zhao section 4.2.1, mu = 0.546"}}

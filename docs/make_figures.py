@@ -383,6 +383,9 @@ def run_laboratory() -> None:
         keep_picture(work / "sand.png", "lab_packing")
         test("biaxial", "sand.h5", "--strain", 0.3)
         keep_picture(work / "biaxial.png", "lab_biaxial")
+        prepare("balls.h5", "--dim", 3, "--seed", 11)
+        test("triaxial", "balls.h5", "--strain", 0.1)
+        keep_picture(work / "triaxial.png", "lab_triaxial")
         test("cyclic-shear", "loose.h5", "--cycles", 25)
         keep_picture(work / "cyclic-shear.png", "lab_liquefaction")
         words = ("--shear-stress", 3e4, "--cycles", 40, "--largest", 0.06)
@@ -403,7 +406,7 @@ def draw_laboratory() -> None:
 
 
 def run_representativity() -> None:
-    """About half an hour, but for the rows that are there already."""
+    """About 45 minutes of one core, but for the rows that are there already."""
     folder = ROOT / "results" / "representativity"
     femxdem("packing", "representativity", "--output", folder, "--quiet")
     for name in ("disks", "spheres", "structure"):
@@ -465,9 +468,21 @@ def draw_localisation() -> None:
     draw()
 
 
+def run_bands() -> None:
+    import figures_bands
+
+    figures_bands.run(python)
+
+
+def draw_bands() -> None:
+    import figures_bands
+
+    figures_bands.draw()
+
+
 NAMES = (
     "accuracy", "element_tests", "coupled", "biaxial", "operators", "laboratory",
-    "representativity", "friction", "second_gradient", "localisation",
+    "representativity", "friction", "second_gradient", "bands", "localisation",
 )  # fmt: skip
 
 

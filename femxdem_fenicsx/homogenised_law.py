@@ -8,14 +8,12 @@ import numpy as np
 
 from .dem.accuracy import PRESETS, Accuracy
 from .dem.homogenisation import fabric_anisotropy
-from .dem.loading import Outcome
+from .dem.loading import FAILED_CONTACTS_PER_GRAIN, Outcome
 from .dem.packing import Packing, PackingBatch
 from .dem.response import Response
 from .dem.tangents import operator
 from .law import InadmissibleDeformation
 
-#: A packing with fewer contacts per grain than this carries no load: it has failed.
-FAILED_CONTACTS_PER_GRAIN = 0.5
 #: Stiffness that a failed packing lends the global matrix, as a share of the initial one.
 FAILED_STIFFNESS = 1e-2
 #: Strains are rounded to multiples of this before the grains see them. It is far below what they

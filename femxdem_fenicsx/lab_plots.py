@@ -98,9 +98,16 @@ def _column(rows: Sequence[dict[str, float]], name: str) -> np.ndarray:
     return np.array([row[name] for row in rows])
 
 
+def _drains(rows: Sequence[dict[str, float]]) -> bool:
+    return np.ptp(_column(rows, "volumetric_strain")) > 1e-9
+
+
 @matplotlib.rc_context(STYLE)
 def save_compression_test(path: str | Path, rows: Sequence[dict[str, float]]) -> None:
-    """Stress and volume over axial strain, stress path, coordination number and fabric."""
+    """Stress and volume over axial strain, stress path, coordination number and fabric.
+
+    Mean pressure takes the place of a volume that is constant.
+    """
     axis = "zz" if "strain_zz" in rows[0] else "yy"
     strain = 100 * _column(rows, f"strain_{axis}")
     axial = 1e-3 * _column(rows, f"stress_{axis}_Pa")
@@ -114,9 +121,14 @@ def save_compression_test(path: str | Path, rows: Sequence[dict[str, float]]) ->
     stress.plot(strain, lateral, color=COLOURS[1], lw=1.0, label="lateral")
     stress.legend()
     stress.set_ylabel("stress (kPa),\ncompression positive")
-    volume.plot(strain, 100 * _column(rows, "volumetric_strain"), color=COLOURS[0])
-    volume.axhline(0.0, color="0.7", lw=0.5, zorder=1)
-    volume.set_ylabel("volumetric strain (%),\ndilation positive")
+    if _drains(rows):
+        volume.plot(strain, 100 * _column(rows, "volumetric_strain"), color=COLOURS[0])
+        volume.axhline(0.0, color="0.7", lw=0.5, zorder=1)
+        volume.set_ylabel("volumetric strain (%),\ndilation positive")
+    else:
+        volume.plot(strain, 1e-3 * _column(rows, "pressure_Pa"), color=COLOURS[0])
+        volume.set_ylabel("mean pressure (kPa)")
+        volume.set_ylim(bottom=0)
     volume.set_xlabel("axial strain (%)")
     way.plot(1e-3 * _column(rows, "pressure_Pa"), axial - lateral, color=COLOURS[0])
     way.set_xlabel("mean pressure (kPa)")
@@ -157,7 +169,7 @@ def save_shear_test(path: str | Path, rows: Sequence[dict[str, float]]) -> None:
     pressure.plot(way, 1e-3 * _column(rows, "pressure_Pa"), color=COLOURS[0])
     pressure.set_ylabel("mean pressure (kPa)")
     pressure.set_ylim(bottom=0)
-    if np.ptp(_column(rows, "volumetric_strain")) > 1e-9:
+    if _drains(rows):
         volume.plot(way, 100 * _column(rows, "volumetric_strain"), color=COLOURS[0])
         volume.set_ylabel("volumetric strain (%),\ndilation positive")
     else:
@@ -176,6 +188,8 @@ def save_consolidation(path: str | Path, rows: Sequence[dict[str, float]]) -> No
     pressure = 1e-3 * _column(rows, "pressure_Pa")
     left.plot(pressure, _column(rows, "void_ratio"), "o-", ms=2.5, color=COLOURS[0])
     left.set(xscale="log", xlabel="mean pressure (kPa)", ylabel="void ratio")
+    if pressure.max() < 10 * pressure.min():  # a logarithmic axis labels decades
+        left.set_xscale("linear")
     strain = 100 * _column(rows, f"strain_{axis}")
     right.plot(strain, 1e-3 * _column(rows, f"stress_{axis}_Pa"), color=COLOURS[0], label="axial")
     lateral = 1e-3 * _column(rows, "stress_xx_Pa")

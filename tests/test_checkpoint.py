@@ -107,7 +107,9 @@ def test_a_run_that_was_stopped_and_resumed_has_the_same_history_and_fields(
 def test_on_two_ranks_too_with_the_second_gradient_and_all_that_a_solver_keeps(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setenv("PETSC_OPTIONS", "-femxdem_snes_anderson_keep 1")
+    # on several ranks MUMPS sums in the order in which messages arrive: one factorisation per rank
+    redundant = "-femxdem_pc_type redundant -femxdem_redundant_pc_factor_mat_solver_type mumps"
+    monkeypatch.setenv("PETSC_OPTIONS", f"-femxdem_snes_anderson_keep 1 {redundant}")
     whole, stopped = tmp_path / "whole", tmp_path / "stopped"
     for folder, *options in ((whole, "every=1000"), (stopped, "kill=17"), (stopped, "--resume")):
         options += ["end=0.008", "modulus=0.5"]

@@ -24,6 +24,8 @@ from . import common
 
 #: Increments that the first step of a compression is cut into, to see the stiffness.
 FINE = 5
+#: Increment of axial strain of spheres: they unload over 6e-4, and two sides are to be found.
+SPHERE_STEP = 5e-4
 
 
 @dataclass(frozen=True)
@@ -44,10 +46,10 @@ class Test:
     tells: tuple[str, ...]
 
 
-def _strain(default: float, what: str = "axial strain") -> Callable:
+def _strain(default: float, what: str = "axial strain", step: float = 1e-3) -> Callable:
     def options(parser: argparse.ArgumentParser) -> None:
         parser.add_argument("--strain", type=float, default=default, help=f"{what} to reach")
-        parser.add_argument("--step", type=float, default=1e-3, help="of it per increment")
+        parser.add_argument("--step", type=float, default=step, help="of it per increment")
 
     return options
 
@@ -64,11 +66,14 @@ def _drained(specimen, args):
     )
 
 
-def _drained_options(parser: argparse.ArgumentParser) -> None:
-    _strain(0.1)(parser)
-    parser.add_argument(
-        "--free-shear", action="store_true", help="let the box shear, without shear stress"
-    )
+def _drained_options(step: float) -> Callable:
+    def options(parser: argparse.ArgumentParser) -> None:
+        _strain(0.1, step=step)(parser)
+        parser.add_argument(
+            "--free-shear", action="store_true", help="let the box shear, without shear stress"
+        )
+
+    return options
 
 
 def _isotropic_options(parser: argparse.ArgumentParser) -> None:
@@ -134,7 +139,7 @@ def _cyclic(specimen, args):
 
 
 def _true_triaxial_options(parser: argparse.ArgumentParser) -> None:
-    _strain(0.1)(parser)
+    _strain(0.1, step=SPHERE_STEP)(parser)
     parser.add_argument("--b", type=float, default=0.5, help="(s_2 - s_3) / (s_1 - s_3)")
 
 
@@ -181,12 +186,12 @@ TESTS: dict[str, Test] = {
         _axial, lab_plots.save_consolidation, ("oedometric_modulus_Pa", "lateral_ratio"),
     ),
     "biaxial": Test(
-        "drained biaxial compression of disks", 2, _drained_options, _drained, _axial,
+        "drained biaxial compression of disks", 2, _drained_options(1e-3), _drained, _axial,
         lab_plots.save_compression_test, DRAINED,
     ),
     "triaxial": Test(
-        "drained triaxial compression of spheres", 3, _drained_options, _drained, _axial,
-        lab_plots.save_compression_test, DRAINED,
+        "drained triaxial compression of spheres", 3, _drained_options(SPHERE_STEP), _drained,
+        _axial, lab_plots.save_compression_test, DRAINED,
     ),
     "undrained": Test(
         "axial compression at constant volume", None, _strain(0.1),

@@ -19,6 +19,8 @@ from .stability import stable_time_step
 HOLD_BLOCK = 25
 #: A hold counts for the stress from this many times the tolerance down.
 NEARLY_AT_REST = 4.0
+#: A packing with fewer contacts per grain than this carries no load: it has failed.
+FAILED_CONTACTS_PER_GRAIN = 0.5
 #: Fewest loading steps of an increment that is not zero.
 FEWEST_STEPS = 4
 
@@ -240,6 +242,8 @@ def deform(
             )
             outcome.stress[row] += share * measured
             left -= share
+    if outcome.contacts[row] < FAILED_CONTACTS_PER_GRAIN * motion.position.shape[1]:
+        outcome.stress[row] = measured  # what it bore before it collapsed in the hold is gone
 
     remember(work.pairs, history)
     count = history.first[-1]

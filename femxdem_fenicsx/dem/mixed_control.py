@@ -14,6 +14,8 @@ from .preparation import NotReached
 LARGEST_GROWTH = 3.0
 #: Least share of the contacts' own stiffness that a search reckons with where answers scatter.
 SOFTEST = 0.05
+#: Share of the committed pressure below which a trial has lost its contacts.
+EMPTY = 0.02
 #: Times that an increment is cut in two where the stress is not reached.
 MOST_CUTS = 2
 #: Evaluations without anything better after which a search is given up.
@@ -98,14 +100,25 @@ class StressCondition:
 class _Search:
     """Looks for the free components of F at which a law's stress meets the conditions."""
 
-    def __init__(self, law, F: np.ndarray, condition: StressCondition, origin: np.ndarray):
-        """From the first guess F (d, d); F is relative to the same as `origin`, the F committed."""
+    def __init__(
+        self,
+        law,
+        F: np.ndarray,
+        condition: StressCondition,
+        origin: np.ndarray,
+        pressure: float = 0.0,
+    ):
+        """From the first guess F (d, d); F is relative to the same as `origin`, the F committed.
+
+        pressure: mean one committed, Pa; a trial that keeps next to nothing of it has been emptied.
+        """
         self.law, self.condition = law, condition
         self.F, self.best_F = np.array(F, float), None
         self.inverse = np.linalg.inv(origin)
         self.best, self.evaluations, self.jump = np.inf, 0, False
         self.least_move = np.abs(F - origin).max()
         self._below = self._above = None
+        self._least_pressure, self._bearing, self._filling = EMPTY * pressure, None, None
 
     def run(self, tolerance: float, most: int, patience: int | None = None) -> bool:
         """Whether the tolerance (Pa) is met; what was met best stays in `best` and `best_F`.
@@ -134,6 +147,11 @@ class _Search:
                 self.best, self.best_F, self.best_stress = error, self.F.copy(), self.stress
             if error <= tolerance:
                 return True
+            if -np.trace(self.stress) < self._least_pressure * len(self.F):
+                found_at, scattered = self.evaluations, True
+                self._fill(residual)
+                continue
+            self._bearing = self.F[free]
             if jacobian is None:
                 jacobian = first = self._stiffness()
             else:
@@ -156,6 +174,22 @@ class _Search:
             longest = LARGEST_GROWTH * max(min(length, longest), self.least_move)
             self.F[free] += move
         return False
+
+    def _fill(self, residual: np.ndarray) -> None:
+        """Move the free components to where the packing bears something again.
+
+        Grains that have lost their contacts do not tell how far apart they are: half the way back
+        to a trial that bore something; without one, by the stiffness committed, then twice that.
+        """
+        free = self.condition.free
+        if self._bearing is not None:
+            self.F[free] = 0.5 * (self.F[free] + self._bearing)
+            return
+        if self._filling is None:
+            self.law.discard()
+            self._filling = -np.linalg.lstsq(self._stiffness(), residual, rcond=None)[0]
+        self.F[free] += self._filling
+        self._filling *= 2.0
 
     def _bracketed(self, residual: float) -> bool:
         """Whether the one free component has been moved into the bracket that there is."""
@@ -280,7 +314,7 @@ class Servo:
         guess[condition.free] = start[condition.free]
         if cuts == 0:  # a guess that has led astray is not made again
             guess[condition.free] += self._predicted(F, condition)
-        search = _Search(self.law, guess, condition, start)
+        search = _Search(self.law, guess, condition, start, self.pressure)
         try:
             reached = search.run(self.tolerance, self.most, PATIENCE)
         except (ValueError, FloatingPointError):

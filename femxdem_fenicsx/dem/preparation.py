@@ -86,6 +86,8 @@ def random_packing(
     sizes = UniformByNumber(*radii) if isinstance(radii, tuple | list) else radii
     if grains < 1:
         raise ValueError(f"a packing needs 1 grain or more, got {grains}")
+    if seed < 0:
+        raise ValueError(f"a seed must be 0 or more, got {seed}")
     if dim not in (2, 3):
         raise ValueError(f"a packing has 2 or 3 dimensions, not {dim}")
     if thickness is None:

@@ -77,7 +77,8 @@ def dilatancy_angle(deformation: np.ndarray) -> float:
     volume = -np.log(np.linalg.det(deformation @ inverse))
     first = log_strain(deformation @ inverse)[:, -1]
     slope = np.polyfit(first, volume, 1)[0] if np.ptp(first) > 0 else 0.0
-    return float(np.degrees(np.arcsin(np.clip(-slope / (2.0 - slope), -1.0, 1.0))))
+    slope = 0.0 if abs(slope) < 1e-9 else slope  # constant volume, but for rounding
+    return float(np.degrees(np.arcsin(np.clip(-slope / (2.0 - slope), -1.0, 1.0)))) + 0.0
 
 
 def strength(

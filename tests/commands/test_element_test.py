@@ -185,6 +185,30 @@ def test_spheres_are_refused_where_disks_are_needed_and_a_missing_file_is_named(
     assert_refused(result, "no such packing file")
 
 
+@pytest.mark.parametrize("b", [None, 0.5], ids=["triaxial", "true triaxial"])
+def test_spheres_are_led_to_the_end_of_a_triaxial_test(femxdem, tmp_path, b):  # noqa: F811
+    """1000 spheres; both lateral stresses, or mean pressure and b, stay where they are led."""
+    name, words = ("triaxial", ()) if b is None else ("true-triaxial", ("--b", b))
+    result = femxdem(
+        "element-test", name, "--packing", DATA / "spheres.h5", "--strain", 3e-3,
+        "--accuracy", "fast", "--tolerance", 1e-2, "--output", tmp_path, *words,
+    )  # fmt: skip
+    assert result.code == 0, result
+    table = rows(tmp_path / f"{name}.csv")
+    x, y, z = (table[f"stress_{2 * axis}_Pa"] for axis in "xyz")
+    assert table["strain_zz"][-1] == pytest.approx(3e-3) and (np.diff(z) > 0)[:5].all()
+    good = table["reached"] == 1
+    assert good.mean() > 0.7
+    led = {None: (x, y), 0.5: ((x + y + z) / 3, y)}[b]
+    for component in led:
+        assert np.abs(component[good] / 1e5 - 1).max() < 1.5e-2
+    ratio = (z / x)[-1]
+    angle = np.degrees(np.arcsin((ratio - 1) / (ratio + 1)))
+    told = json.loads((tmp_path / f"{name}.json").read_text())
+    assert angle - 0.5 < told["peak_friction_angle"] < angle + 8
+    assert 20 < told["peak_friction_angle"] < 40
+
+
 def test_calibration_shows_its_answers_and_tries_other_seeds(femxdem, tmp_path):  # noqa: F811
     preparation = {"grains": 64, "compaction_friction": 0.0}
     laboratory = Laboratory(Target(3e7, 30.0), GUO_ZHAO, 1e5, 0.03, (1, 2), preparation=preparation)

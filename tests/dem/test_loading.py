@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from femxdem_fenicsx.dem.accuracy import PRESETS
+from femxdem_fenicsx.dem.files import load_packing
 from femxdem_fenicsx.dem.loading import logarithm, pressure_of, shear_of
 from femxdem_fenicsx.dem.response import Response
 from femxdem_fenicsx.homogenised_law import HomogenisedLaw
-from tests.reference import reference_packing, table
+from tests.reference import DATA, reference_packing, table
 
 BALANCED = PRESETS["balanced"]
 SHORTER = np.diag([1.0009, 0.999])
@@ -118,6 +119,17 @@ def test_shear_is_the_difference_of_the_extreme_principal_strains(log_F, expecte
 
 def test_pressure_is_compression_positive():
     assert pressure_of(np.diag([-3.0, -1.0])) == 2.0
+
+
+def test_a_packing_that_collapses_in_its_hold_bears_nothing_any_more():
+    """400 spheres at 7 % of a true triaxial test (b = 0.5, e = 0.63), almost without contacts to
+    spare: they come to rest under 40 kPa, nearly, and fall apart after some 3500 steps."""
+    packing = load_packing(DATA.parent / "spheres_about_to_collapse.h5", dim=3)
+    strain = np.diag([1.22e-3, 9.5e-5, -2.7e-4])
+    response = Response(packing, 2, BALANCED)
+    outcome = response.deform(np.eye(3) + np.array([strain, 1.1 * strain]))
+    assert (outcome.contacts < 0.1 * packing.size).all() and (outcome.hold_steps > 1000).all()
+    assert (np.abs(outcome.stress) < 100).all()
 
 
 # Duration

@@ -95,7 +95,7 @@ def test_progress_is_told_on_the_way_to_the_pressure():
         ({"pressure": float("nan")}, "pressure"),
         ({"compaction_friction": -0.1}, "friction"),
         ({"density": -1.0}, "density"),
-        ({"seed": -1}, ""),
+        ({"seed": -1}, "a seed must be 0 or more, got -1"),
     ],
 )
 def test_what_makes_no_packing_is_refused_with_the_reason(values, complaint):

@@ -66,6 +66,20 @@ def test_the_summary_of_a_known_soil():
     assert told.poisson_ratio == pytest.approx(0.2, abs=2e-2)
 
 
+def test_the_critical_state_is_the_mean_over_the_last_quarter_of_the_deviatoric_strain():
+    """At constant volume, eps_q = -2 ln(1 - axial), and an angle that falls in a straight line."""
+    strain = np.linspace(0, 0.4, 401)
+    axial = 1 - np.exp(-strain / 2)
+    sine = np.sin(np.radians(40 - 25 * strain))
+    initial, *states = (
+        ElementState(np.diag([1 / (1 - a), 1 - a]), -CONFINING * np.diag([1 - s, 1 + s]), 1, 0.0)
+        for a, s in zip(axial, sine, strict=True)
+    )
+    told = strength(states, initial, 0.18)
+    assert told.critical_friction_angle == pytest.approx(40 - 25 * 0.35, abs=0.05)
+    assert told.critical_void_ratio == pytest.approx(0.18) and told.critical_steady
+
+
 def test_a_test_that_is_too_short_tells_no_critical_state_and_a_drifting_one_says_so():
     initial, *states = soil(0.02)
     told = strength(states, initial, 0.18)

@@ -1,4 +1,7 @@
-"""Brittle bonds: cement between grains, broken for good (Desrues section 2.4.1)."""
+"""Brittle bonds: cement between grains, broken for good.
+
+Desrues section 2.4.1 ends with a frictional-cemented law for sandstone without its equations.
+"""
 
 from typing import NamedTuple
 
