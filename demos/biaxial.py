@@ -37,7 +37,6 @@ from femxdem_fenicsx.fem.external_operator import ExternalOperator
 from femxdem_fenicsx.fem.output import writable_folder
 from femxdem_fenicsx.fem.problem import Problem
 from femxdem_fenicsx.fem.quadrature_points import QuadraturePoints
-from femxdem_fenicsx.fem.stepping import LoadStepping
 from femxdem_fenicsx.plane_strain import PlaneStrain
 from forms.first_gradient import FORMULATIONS
 from forms.media import medium_for
@@ -67,6 +66,7 @@ def arguments() -> argparse.ArgumentParser:
         help="depth of a dent in each side, share of the width",
     )
     shared.add_discretisation(specimen, 2, (6, 12), "Q4", FORMULATIONS)
+    shared.add_variability(specimen)
     grains = shared.add_grains(parser, 400, "disks, or spheres")
     grains.add_argument("--dim", type=int, default=2, help="2: disks, 3: spheres, in plane strain")
     shared.add_compression(parser, strain=0.04)
@@ -133,8 +133,7 @@ def dent(mesh, depth: float, width: float, height: float) -> None:
 
 
 def compress(specimen: Specimen, args: argparse.Namespace) -> Run:
-    stepping = LoadStepping(args.step, looser_limit=args.looser_tolerance)
-    saving = shared.saving_of(args, specimen.law)
+    stepping, saving = shared.stepping_of(args), shared.saving_of(args, specimen.law)
     return load(specimen, args.strain, stepping, args.output / "biaxial", args.quiet, saving)
 
 

@@ -24,7 +24,6 @@ from femxdem_fenicsx.fem.external_operator import ExternalOperator
 from femxdem_fenicsx.fem.output import writable_folder
 from femxdem_fenicsx.fem.problem import Problem
 from femxdem_fenicsx.fem.quadrature_points import QuadraturePoints
-from femxdem_fenicsx.fem.stepping import LoadStepping
 from forms.first_gradient import FORMULATIONS
 from forms.media import medium_for
 from meshes.box import BACK, BOTTOM, FRONT, LEFT, RIGHT, TOP, box, sides, vertex_near
@@ -43,6 +42,7 @@ def arguments() -> argparse.ArgumentParser:
         "--size", type=float, nargs=3, default=(0.05, 0.05, 0.1), metavar=("X", "Y", "Z"), help="m"
     )
     shared.add_discretisation(specimen, 3, (1, 1, 2), "H8", FORMULATIONS)
+    shared.add_variability(specimen)
     shared.add_grains(parser, 400, "spheres")
     shared.add_compression(parser, strain=0.02)
     shared.add_solution(parser)
@@ -117,8 +117,7 @@ def main(comm: MPI.Comm) -> int:
     shared.check(args, 3, FORMULATIONS)
     writable_folder(comm, args.output)
     specimen = specimen_for(args, shared.packing_for(args, comm, 3), comm)
-    stepping = LoadStepping(args.step, looser_limit=args.looser_tolerance)
-    saving = shared.saving_of(args, specimen.law)
+    stepping, saving = shared.stepping_of(args), shared.saving_of(args, specimen.law)
     run = load(specimen, args.strain, stepping, args.output / "triaxial", args.quiet, saving)
     if not run.signal:
         save_results(specimen, run.rows, args.output)

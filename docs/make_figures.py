@@ -445,6 +445,18 @@ def draw_friction() -> None:
     figure.savefig(FIGURES / "lab_friction.png")
 
 
+def run_localisation() -> None:
+    from figures_localisation import run
+
+    run(python)
+
+
+def draw_localisation() -> None:
+    from figures_localisation import draw
+
+    draw()
+
+
 def run_bands() -> None:
     import figures_bands
 
@@ -459,7 +471,7 @@ def draw_bands() -> None:
 
 NAMES = (
     "tradeoff", "element_tests", "coupled", "biaxial", "operators", "laboratory",
-    "representativity", "friction", "second_gradient", "bands",
+    "representativity", "friction", "second_gradient", "bands", "localisation",
 )  # fmt: skip
 
 

@@ -22,13 +22,18 @@ from .dem.preparation import random_packing
 from .dem.tangents import OPERATORS, operator
 from .double_stress import one_parameter
 from .fem.elements import element, names
+from .fem.path_following import Crossing
 from .fem.problem import Convergence
 from .fem.quadrature_points import QuadraturePoints
+from .fem.stepping import LoadStepping
 from .homogenised_law import HomogenisedLaw
+from .variability import Variability
 
 if TYPE_CHECKING:
     from .distribution import DistributedLaw
 
+#: What happens where the smallest step does not converge (docs/localisation.md).
+PATH_FOLLOWING = {"none": None, "crossing": Crossing()}
 GRADIENTS = ("first", "second")
 
 #: What may change when a run is resumed: where it goes, how far, and how it is solved. The packing
@@ -36,7 +41,7 @@ GRADIENTS = ("first", "second")
 FREE = (
     "defaults", "output", "quiet", "resume", "checkpoint_every", "checkpoint_fails", "threads",
     "packing", "accuracy", "time_step", "strain", "step", "tolerance", "displacement_tolerance",
-    "looser_tolerance", "max_iterations", "operator",
+    "looser_tolerance", "max_iterations", "operator", "path_following",
 )  # fmt: skip
 
 
@@ -66,6 +71,32 @@ def add_discretisation(
         metavar="D",
         help="N, with --gradient second  (the internal length goes with its square root)",
     )
+
+
+def add_variability(specimen: argparse._ArgumentGroup) -> None:
+    """What `variability_of` reads, into the group of the specimen."""
+    specimen.add_argument(
+        "--friction-variability",
+        type=float,
+        metavar="DELTA",
+        help="half of the elements have contact friction lower, half higher by this",
+    )
+    specimen.add_argument("--variability-seed", type=int, default=1, help="which of them")
+    specimen.add_argument(
+        "--weak-element",
+        type=int,
+        metavar="NUMBER",
+        help="this one alone, from 0, row by row from below: lower by DELTA",
+    )
+
+
+def variability_of(args: argparse.Namespace) -> Variability | None:
+    """How friction varies from element to element, if it does."""
+    if args.friction_variability is None:
+        if args.weak_element is not None:
+            raise ValueError("--weak-element needs --friction-variability DELTA")
+        return None
+    return Variability(args.friction_variability, args.weak_element, args.variability_seed)
 
 
 def add_grains(parser: argparse.ArgumentParser, count: int, noun: str) -> argparse._ArgumentGroup:
@@ -112,6 +143,11 @@ def add_solution(parser: argparse.ArgumentParser) -> None:
     solution.add_argument(
         "--looser-tolerance", type=float, default=5e-2, help="for steps that cannot be cut more"
     )
+    solution.add_argument(
+        "--path-following",
+        default="none",
+        help=f"where the smallest step does not converge: {', '.join(PATH_FOLLOWING)}",
+    )
     solution.add_argument("--threads", type=int, help="per rank  (default: its share of the cores)")
 
 
@@ -145,6 +181,10 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
         raise ValueError(f"unknown formulation '{args.formulation}'; choose from {known}")
     element(args.element, args.points).check_dim(dim)
     _check_gradient(args, dim)
+    if args.path_following not in PATH_FOLLOWING:
+        known = ", ".join(PATH_FOLLOWING)
+        raise ValueError(f"unknown --path-following '{args.path_following}'; choose from {known}")
+    variability_of(args)
     accuracy_of(args)
     convergence_of(args)
     operator(args.operator)
@@ -263,11 +303,23 @@ def accuracy_of(args: argparse.Namespace) -> Accuracy:
 def law_for(
     args: argparse.Namespace, packing: Packing, points: QuadraturePoints, comm: MPI.Comm
 ) -> HomogenisedLaw | DistributedLaw:
-    """A copy of the packing at each of the points; on several ranks each has a home rank."""
+    """A copy of the packing at each of the points; on several ranks each has a home rank.
+
+    Raises ValueError for friction that cannot vary so.
+    """
     threads = script.threads_per_rank(comm) if args.threads is None else args.threads
 
+    variability, per_cell = variability_of(args), points.element.points_per_cell
+    by_element = None
+    if variability is not None:
+        elements = comm.allreduce(len(points.cells))
+        by_element = variability.friction(packing.law.friction, elements)
+
     def make(numbers: np.ndarray) -> HomogenisedLaw:
-        return HomogenisedLaw(packing, len(numbers), accuracy_of(args), args.operator, threads)
+        friction = None if by_element is None else by_element[numbers // per_cell]
+        return HomogenisedLaw(
+            packing, len(numbers), accuracy_of(args), args.operator, threads, friction=friction
+        )
 
     if comm.size == 1:
         return make(points.index)
@@ -279,3 +331,12 @@ def law_for(
 def convergence_of(args: argparse.Namespace) -> Convergence:
     """The criteria of a load step."""
     return Convergence(args.tolerance, args.displacement_tolerance, args.max_iterations)
+
+
+def stepping_of(args: argparse.Namespace) -> LoadStepping:
+    """Sizes of load steps, and what happens where the smallest does not converge."""
+    return LoadStepping(
+        args.step,
+        looser_limit=args.looser_tolerance,
+        crossing=PATH_FOLLOWING[args.path_following],
+    )

@@ -19,11 +19,16 @@ from .load_path import Run, Scene, follow
 from .plane_strain import PlaneStrain
 from .reached import Reached
 
+#: What a branch behind the peak must keep to be trusted: share of steps in balance, largest
+#: FNORM/RNORM of any, share of the reactions' work that is lost.
+BALANCED_STEPS, WORST_RESIDUAL, LOST_WORK = 0.95, 5e-2, 0.02
+
 #: Of history.csv; a plane-strain run has the mean out-of-plane stress at the end of the row.
 COLUMNS = (
     "step", "axial_strain", "stress_ratio", "axial_stress_Pa", "volumetric_strain", "void_ratio",
     "iterations", "evaluations", "residual", "converged", "cuts", "dem_steps", "unfinished_holds",
-    "worst_unbalance", "largest_inertial_number", "largest_overlap", "failed_points", "seconds",
+    "worst_unbalance", "largest_inertial_number", "largest_overlap", "failed_points", "moves",
+    "work_J", "lost_work_J", "seconds",
 )  # fmt: skip
 
 
@@ -152,6 +157,9 @@ def row_of(specimen: Specimen, record: StepRecord) -> dict[str, float]:
         "unfinished_holds": comm.allreduce(law.tally.unfinished),
         "worst_unbalance": comm.allreduce(law.tally.worst_unbalance, MPI.MAX),
         "failed_points": comm.allreduce(int(law.failed.sum())),
+        "moves": record.moves,
+        "work_J": record.work,
+        "lost_work_J": record.lost_work,
         "seconds": record.seconds,
     }
     if isinstance(law, PlaneStrain):
@@ -204,6 +212,20 @@ def reached_by(specimen: Specimen) -> Reached:
     return Reached.by(specimen.law, comm.allreduce, lambda x: comm.allreduce(x, MPI.MAX))
 
 
+def trust(run: Run) -> str:
+    """How far the branch behind the peak can be trusted, in a line."""
+    ratios = [row["stress_ratio"] for row in run.rows]
+    rows = run.rows[int(np.argmax(ratios)) + 1 :]
+    if not rows:
+        return "no step"
+    balanced = sum(bool(row["converged"]) for row in rows) / len(rows)
+    worst = max(row["residual"] for row in rows)
+    lost = run.outcome.lost_work / max(run.outcome.work, 1e-300)
+    good = balanced >= BALANCED_STEPS and worst <= WORST_RESIDUAL and lost <= LOST_WORK
+    verdict = "to be trusted" if good else "NOT to be trusted"
+    return f"{verdict}: {balanced:.0%} of {len(rows)} steps in balance, worst residual {worst:.1e}"
+
+
 def summary(specimen: Specimen, run: Run, seconds: float) -> dict[str, str]:
     """The table at the end."""
     comm, tally = specimen.mesh.comm, specimen.law.tally
@@ -222,6 +244,9 @@ def summary(specimen: Specimen, run: Run, seconds: float) -> dict[str, str]:
         "load steps": f"{outcome.steps}, {outcome.not_converged} of them not converged",
         "iterations": f"{outcome.iterations} ({outcome.evaluations} evaluations of the law)",
         "cut steps": f"{outcome.cuts}",
+        "crossings to another equilibrium": f"{outcome.crossings} in {outcome.moves} moves",
+        "work lost out of balance": f"{outcome.lost_work / max(outcome.work, 1e-300):.2%}",
+        "behind the peak": trust(run),
         **reached_by(specimen).table,
         "failed points": f"{rows[-1]['failed_points']}",
         "seconds in DEM / FEM / the rest": (

@@ -1,5 +1,6 @@
 """The FEM x DEM law: packings behind the Law protocol (Desrues section 2.4.2)."""
 
+from dataclasses import replace
 from time import perf_counter
 
 import h5py
@@ -127,13 +128,17 @@ class HomogenisedLaw:
         accuracy: Accuracy = PRESETS["balanced"],
         operator_name: str = "UKO",
         threads: int = 1,
+        friction: np.ndarray | None = None,
     ):
-        """The same packing at all `size` points; ValueError for what is not possible."""
+        """The same packing at all `size` points; ValueError for what is not possible.
+
+        `friction`: coefficient of the contacts of each point (size,); the contact law's if None.
+        """
         self._operator = operator(operator_name)
         self._memory = getattr(self._operator, "memory", {})
         if hasattr(self._operator, "start"):
             self._operator.start(size, packing.dim)
-        self.response = Response(packing, size, accuracy, threads)
+        self.response = Response(packing, size, accuracy, threads, friction)
         self.dim, self.size = packing.dim, size
         self._identity = np.eye(self.dim)
         self.tally = Tally(size)
@@ -218,6 +223,8 @@ class HomogenisedLaw:
         for name, array in self._memory.items():
             arrays[f"operator/{name}"] = self._committed_memory[name]
             arrays[f"operator{WITH_TRIALS}/{name}"] = array
+        if response.friction is not None:
+            arrays["friction"] = response.friction
         return arrays | {
             "initial_box": self._initial_box,
             "held": response.held,
@@ -245,6 +252,7 @@ class HomogenisedLaw:
         self._initial_box = state.pop("initial_box")
         self._committed_tally = state.pop("tally")
         self.tally.by_packing = state.pop(f"tally{WITH_TRIALS}")
+        self.response.friction = state.pop("friction", None)
         outcome = {name: state.pop(f"outcome/{name}") for name in Outcome._fields}
         for name in self._memory:
             self._committed_memory[name] = state.pop(f"operator/{name}")
@@ -336,4 +344,9 @@ class HomogenisedLaw:
 
     def packing(self, point: int | None) -> Packing | None:
         """The committed packing of one point; None of none."""
-        return None if point is None else self.response.committed.packing(point)
+        if point is None:
+            return None
+        packing, friction = self.response.committed.packing(point), self.response.friction
+        if friction is None:
+            return packing
+        return replace(packing, law=replace(packing.law, friction=float(friction[point])))

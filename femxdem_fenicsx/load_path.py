@@ -213,8 +213,8 @@ def _saved(
     comm: MPI.Comm = scene.problem.operator.points.mesh.comm
     saved = Checkpoint.last(comm, saving.folder)
     saved.check_scene(saving)
-    position = {f.name: saved.common[f"position/{f.name}"].item() for f in fields(Position)}
-    start = Position(**position)
+    names = [f.name for f in fields(Position) if f"position/{f.name}" in saved.common]
+    start = Position(**{name: saved.common[f"position/{name}"].item() for name in names})
     if not start.load < end:
         raise ValueError(
             f"{saved.path}: the load {start.load:.6g} is reached already; ask for more than"

@@ -1,6 +1,7 @@
 """Packings behind the Law protocol: state, files, failed packings, bad input."""
 
 import inspect
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -59,6 +60,31 @@ def test_evaluate_is_a_function_of_F_alone_whatever_was_tried_before(packing):
     law.discard()
     law.commit()
     np.testing.assert_array_equal(law.evaluate(increments(7)), first)
+
+
+def test_friction_of_its_own_is_that_of_a_packing_of_such_grains(packing, tmp_path):
+    """And it moves and is stored with the packing."""
+    friction = np.array([0.3, 0.5, 0.3])
+    law = HomogenisedLaw(packing, SIZE, FAST, friction=friction)
+    compression = np.tile(np.diag([1.002, 0.99]), (SIZE, 1, 1))
+    stress = law.evaluate(compression)
+    law.commit()
+    for point, value in enumerate(friction):
+        grains = packing.but(law=replace(packing.law, friction=value))
+        alone = HomogenisedLaw(grains, 1, FAST)
+        np.testing.assert_array_equal(alone.evaluate(compression[:1])[0], stress[point])
+        assert law.packing(point).law.friction == value
+    assert abs(stress[0, 1, 1]) < 0.97 * abs(stress[1, 1, 1])
+    other = HomogenisedLaw(packing, SIZE, FAST, friction=0.5 * np.ones(SIZE))
+    with h5py.File(tmp_path / "state.h5", "w") as file:
+        law.save(file)
+        other.load(file)
+    np.testing.assert_array_equal(other.evaluate(compression), law.evaluate(compression))
+
+
+def test_friction_that_is_not_positive_is_refused(packing):
+    with pytest.raises(ValueError, match="must be positive"):
+        HomogenisedLaw(packing, SIZE, FAST, friction=np.array([0.5, 0.0, 0.5]))
 
 
 def test_what_evaluate_returns_is_the_callers_own(packing):

@@ -74,16 +74,30 @@ class Response:
 
     Attributes:
         committed, trial: the two states. latest: the one of the two that was computed last.
+        friction: (B,) contact friction of each packing; None where it is the contact law's.
         outcome: what was measured at `latest`. committed_outcome: the same at `committed`.
         pressure: (B,) Pa, of the committed state. time_step: (B,) s, longest that is stable there.
         commits: how often a trial became the state. held: (B,) steps of each packing's last hold.
     """
 
-    def __init__(self, packing: Packing, size: int, accuracy: Accuracy, threads: int = 1):
+    def __init__(
+        self,
+        packing: Packing,
+        size: int,
+        accuracy: Accuracy,
+        threads: int = 1,
+        friction: np.ndarray | None = None,
+    ):
         """`size` copies of `packing`, at work around the packing's own pressure.
 
-        Raises ValueError for a size or a number of threads that is not possible.
+        Raises ValueError for a size or a number of threads that is not possible, and for friction
+        that is not positive.
         """
+        if friction is not None:
+            friction = np.broadcast_to(np.asarray(friction, dtype=np.float64), (size,)).copy()
+            if packing.law.friction == 0 or not (friction > 0).all():
+                raise ValueError("friction that varies must be positive, the contact law's too")
+        self.friction = friction
         if threads < 1:
             raise ValueError(f"threads must be 1 or more, got {threads}")
         load_kernels(packing.law, packing.dim)
@@ -223,8 +237,35 @@ class Response:
         places = np.zeros_like(packings) if new is None else packings
         status = np.full(len(packings), NO_ROOM)
         expected = self._expected_steps(shear, packings, loading)
-        waiting = np.argsort(-expected, kind="stable")  # expensive ones first
-        waiting = waiting[~np.broadcast_to(still, waiting.shape)[waiting]]
+        expensive_first = np.argsort(-expected, kind="stable")
+        moving = ~np.broadcast_to(still, expensive_first.shape)[expensive_first]
+        for chosen, waiting in self._materials(material, packings, expensive_first[moving]):
+            self._run_rows(
+                waiting, packings, places, F, log_F, shear, chosen, loading, start, new, outcome,
+                status,
+            )  # fmt: skip
+        wrong = np.flatnonzero(~np.isfinite(outcome.stress).all((1, 2)))
+        if len(wrong):
+            raise FloatingPointError(
+                f"packing {packings[wrong[0]]}: its stress is not finite; take smaller steps"
+            )
+        return outcome
+
+    def _materials(self, material: Material, packings: np.ndarray, rows: np.ndarray):
+        """(material, rows of that material): one each for packings of the same friction."""
+        if self.friction is None or material.friction != self.material.friction:
+            return [(material, rows)]
+        of_row = self.friction[packings[rows]]
+        return [
+            (material._replace(friction=float(friction)), rows[of_row == friction])
+            for friction in np.unique(of_row)
+        ]
+
+    def _run_rows(
+        self, waiting, packings, places, F, log_F, shear, material, loading, start, new, outcome,
+        status,
+    ) -> None:  # fmt: skip
+        """Deform the rows `waiting` of `packings`, all of one material, on all threads."""
         while len(waiting):
             tickets = np.zeros(1, np.int64)
 
@@ -244,12 +285,6 @@ class Response:
             waiting = waiting[status[waiting] != OK]
             if len(waiting):
                 self._make_more_room(f"packing {packings[waiting].min()}", 2 * self._capacity)
-        wrong = np.flatnonzero(~np.isfinite(outcome.stress).all((1, 2)))
-        if len(wrong):
-            raise FloatingPointError(
-                f"packing {packings[wrong[0]]}: its stress is not finite; take smaller steps"
-            )
-        return outcome
 
     def _check_contacts(self, overfull: np.ndarray) -> None:
         """Raise FloatingPointError for packings with more contacts than a batch has room for."""

@@ -20,6 +20,7 @@ from .external_operator import ExternalOperator
 from .learnt import Learnt, cell_rows, from_cell_rows
 from .mesh_motion import MeshMotion
 from .options import PREFIX, defaults
+from .viscosity import Viscosity
 
 REASONS = {
     value: name
@@ -113,6 +114,11 @@ class Problem:
         operator: the external operator in the forms.
         motion: moves the mesh, and holds the total displacement.
         convergence: the criteria.
+        viscosity: adds viscous forces, see :mod:`femxdem_fenicsx.fem.path_following`; None for
+            none.
+        work: of the reactions at constrained dofs in the last accepted step, J (per metre in 2D).
+        lost_work: of what was out of balance there: so much more work did external forces and
+            reactions than the stress has taken up.
 
     Args:
         u: displacement function, or a mixed one that begins with it.
@@ -168,6 +174,8 @@ class Problem:
         self._change, self._goes_on = np.zeros(self._size), False
         self.first_guess = first_guess
         self._last_forces: PETSc.Vec | None = None
+        self.viscosity: Viscosity | None = None
+        self.work = self.lost_work = 0.0
         self.snes = self._create_snes(prefix)
         self._learnt = Learnt(self.snes, self._matrix, u)
 
@@ -228,20 +236,47 @@ class Problem:
             residual,
         )
 
-    def accept(self, step: float = 1.0) -> None:
+    def accept(self, step: float = 1.0, guides: bool = True) -> None:
         """Make u the end of the step: commit the law, move the mesh, start the next step at 0.
 
-        The law commits what it computed at this very u.
+        The law commits what it computed at this very u. `guides`: whether the first guess of the
+        next step is this increment, and not that of an earlier step.
         """
         self._evaluate_at_u()
         together(self._comm, self.operator.commit)
+        self.work, self.lost_work = self._works()
         self.motion.move()
-        self._note_trend(step)
-        self._last_step = (step, self.u.x.array[: self._size].copy())
+        if guides:
+            self._note_trend(step)
+            self._last_step = (step, self.u.x.array[: self._size].copy())
         self._last_forces = self._forces.copy()
         self._learnt.keep()
         self.u.x.array[:] = 0.0
         self._now = None
+
+    def _works(self) -> tuple[float, float]:
+        """(`work`, `lost_work`) of the step that ends at u, by the trapezoidal rule."""
+        forces = self._forces.array_r
+        if self._last_forces is not None:
+            forces = 0.5 * (forces + self._last_forces.array_r)
+        work = forces * self.u.x.array[: self._size]
+        at_constrained = work[self._constrained].sum()
+        both = np.array([at_constrained, at_constrained - work.sum()])
+        return tuple(self._comm.allreduce(both).tolist())
+
+    def stiffness(self) -> PETSc.Mat:
+        """The Jacobian between two steps, of the last accepted state: a copy."""
+        self._set_u(np.zeros(self._size))
+        viscosity, self.viscosity = self.viscosity, None
+        self._assemble_jacobian(self.snes, self._x, self._matrix, self._matrix)
+        self.viscosity = viscosity
+        self.forget()
+        self._learnt.keep()
+        return self._matrix.copy()
+
+    def unbalance(self) -> float:
+        """FNORM/RNORM at the last iterate without viscous forces."""
+        return self._measured(self._forces.array_r).ratio
 
     def reject(self) -> None:
         """Forget the trial and what the solver has learnt; u is zero again."""
@@ -255,9 +290,14 @@ class Problem:
         """FNORM/RNORM at the last iterate; NaN where there is none."""
         return np.nan if self._now is None else self._now.ratio
 
-    def forget(self) -> None:
-        """Forget what the solver has learnt, but not the last increment: Jacobian, differences."""
+    def forget(self, for_good: bool = False) -> None:
+        """Forget what the solver has learnt, but not the last increment: Jacobian, differences.
+
+        `for_good`: a run that goes on from the last accepted step does not know it either.
+        """
         self._learnt.forget()
+        if for_good:
+            self._learnt.keep()
 
     def save(self, group: h5py.Group) -> None:
         """Write what the next step starts from into an HDF5 group: a row per owned cell.
@@ -381,13 +421,15 @@ class Problem:
         except Exception as error:
             self._failure = error
             raise
-        f.array[:] = self._forces.array_r
+        f.array[:] = self._total_forces()
         f.array[self._constrained] = x.array_r[self._constrained] - self._values
 
     def _assemble_jacobian(self, snes, x: PETSc.Vec, matrix: PETSc.Mat, preconditioner) -> None:
         try:
             self.operator.evaluate_tangent()
             _dolfinx.assemble_matrix(preconditioner, self._jacobian, self.bcs)
+            if self.viscosity is not None:
+                self.viscosity.add_to(preconditioner)
         except Exception as error:
             self._failure = error
             raise
@@ -425,12 +467,19 @@ class Problem:
         before, self._now = self._now, None
         self.operator.evaluate()
         _dolfinx.assemble_vector(self._forces, self._residual)
-        forces = self._forces.array_r
-        free = np.delete(forces, self._constrained)
-        out_of_balance, reactions = self._norms(free, forces[self._constrained])
-        self._before, self._now = before, _Evaluated(x.copy(), out_of_balance, reactions)
+        self._before, self._now = before, self._measured(self._total_forces())
         if self._best is None or self._now.ratio < self._best.ratio:
             self._best = self._now
+
+    def _total_forces(self) -> np.ndarray:
+        """Internal and viscous less external nodal forces at the last iterate."""
+        forces = self._forces.array_r
+        return forces if self.viscosity is None else forces + self.viscosity.forces(self.u)
+
+    def _measured(self, forces: np.ndarray) -> _Evaluated:
+        free = np.delete(forces, self._constrained)
+        out_of_balance, reactions = self._norms(free, forces[self._constrained])
+        return _Evaluated(self.u.x.array[: self._size].copy(), out_of_balance, reactions)
 
     def _norms(self, *arrays: np.ndarray) -> list[float]:
         squares = np.array([np.dot(a, a) for a in arrays])

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 from ..collective import Interrupted
+from .path_following import Crossing, cross
 from .problem import Problem, Solution
 
 
@@ -20,6 +21,8 @@ class LoadStepping:
         looser_limit: where the smallest step does not converge either, the best iterate is
             accepted with FNORM/RNORM up to this, and counted (Desrues Table 5).
         grow_after: converged steps in a row after which a cut step doubles.
+        crossing: how the specimen may move to another equilibrium where the smallest step does
+            not converge (see `path_following`); None: it may not.
 
     Raises:
         ValueError: sizes that are not positive or out of order.
@@ -29,6 +32,7 @@ class LoadStepping:
     smallest: float | None = None
     looser_limit: float = 5e-2
     grow_after: int = 3
+    crossing: Crossing | None = None
 
     def __post_init__(self):
         if self.smallest is None:
@@ -55,6 +59,9 @@ class StepRecord:
         converged: False where the best iterate was accepted under the looser limit.
         cuts: halvings so far.
         seconds: wall-clock time since the step before.
+        moves: states committed on the way from one equilibrium to another; 0 for a usual step.
+        work: of the reactions so far, J (per metre in 2D).
+        lost_work: of what was out of balance so far, the amounts of all states added up.
     """
 
     number: int
@@ -66,6 +73,9 @@ class StepRecord:
     converged: bool
     cuts: int
     seconds: float
+    moves: int = 0
+    work: float = 0.0
+    lost_work: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -81,6 +91,9 @@ class Position:
         not_converged: steps accepted under the looser limit.
         iterations: of the accepted solves.
         evaluations: of the law.
+        crossings: steps at which the specimen moved to another equilibrium.
+        moves: states committed on the way.
+        work, lost_work: see `StepRecord`.
     """
 
     load: float = 0.0
@@ -91,32 +104,37 @@ class Position:
     not_converged: int = 0
     iterations: int = 0
     evaluations: int = 0
+    crossings: int = 0
+    moves: int = 0
+    work: float = 0.0
+    lost_work: float = 0.0
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """How a load path ended.
+class Outcome(Position):
+    """How a load path ended: where it stands, with the evaluations of discarded tries, and why.
 
     Attributes:
-        load: of the last accepted step.
-        steps: accepted.
-        cuts: halvings.
-        not_converged: steps accepted under the looser limit.
-        iterations: of the accepted solves.
-        evaluations: of the law.
         lost_controllability: empty where the end was reached; otherwise one line: where the load
             path could not be followed any further, and what the solver said.
         interrupted: whether the run was asked to stop before the end.
     """
 
-    load: float
-    steps: int
-    cuts: int
-    not_converged: int
-    iterations: int
-    evaluations: int
     lost_controllability: str = ""
     interrupted: bool = False
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step that has been committed, or, with a reason, one that could not be followed."""
+
+    iterations: int = 0
+    residual: float = 0.0
+    converged: bool = False
+    moves: int = 0
+    work: float = 0.0
+    lost_work: float = 0.0
+    reason: str = ""
 
 
 def walk(
@@ -131,8 +149,9 @@ def walk(
     """Walk the load from `start` to `end`.
 
     A step that does not converge is discarded, halved and tried again. Where the smallest one does
-    not converge, its best iterate is accepted under the looser limit; what is out of balance then
-    stays in the residual of the next step. Beyond that limit the path ends there. Asked to stop
+    not converge, the specimen crosses over to another equilibrium, if it may. If it may not, the
+    best iterate is accepted under the looser limit; what is out of balance then stays in the
+    residual of the next step. Beyond that limit the path ends there. Asked to stop
     (`Interrupted`), it ends behind the last accepted step.
 
     Args:
@@ -163,46 +182,84 @@ def walk(
             problem.reject()
             at, interrupted = accepted, True
             break
-        if not solution.converged:
-            if size > stepping.smallest * (1 + 1e-6):
-                problem.reject()
-                smaller = max(size / 2, stepping.smallest)
-                at = replace(at, step=smaller, in_a_row=0, cuts=at.cuts + 1)
-                continue
-            if not solution.residual <= stepping.looser_limit:
-                problem.reject()
-                lost = (
-                    f"lost controllability at load {at.load:.6g}: a step of {size:.3g} ends with "
-                    f"FNORM/RNORM = {solution.residual:.2e} ({solution.reason})"
-                )
-                break
-        problem.accept(size)
+        if not solution.converged and size > stepping.smallest * (1 + 1e-6):
+            problem.reject()
+            smaller = max(size / 2, stepping.smallest)
+            at = replace(at, step=smaller, in_a_row=0, cuts=at.cuts + 1)
+            continue
+        load = end if size == rest else at.load + size
+        if solution.converged or stepping.crossing is None:
+            step = _accept(problem, size, solution, stepping.looser_limit)
+        else:
+            step = _cross(problem, size, stepping, lambda load=load: set_load(load, load))
+        if step.reason:
+            lost = f"lost controllability at load {at.load:.6g}: a step of {size:.3g} {step.reason}"
+            break
         now, evaluations = time.perf_counter(), problem.operator.evaluations
-        at = _behind(at, end if size == rest else at.load + size, solution, stepping)
+        at = _behind(at, load, step, stepping)
         record = StepRecord(
             at.steps,
             at.load,
             size,
-            solution.iterations,
+            step.iterations,
             evaluations - counted,
-            solution.residual,
-            solution.converged,
+            step.residual,
+            step.converged,
             at.cuts,
             now - clock,
+            step.moves,
+            at.work,
+            at.lost_work,
         )
         at = replace(at, evaluations=at.evaluations + record.evaluations)
         clock, counted, accepted = now, evaluations, at
         observe(record)
         between(at)
     total = at.evaluations + (0 if interrupted else problem.operator.evaluations - counted)
-    return Outcome(
-        at.load, at.steps, at.cuts, at.not_converged, at.iterations, total, lost, interrupted
+    ended = asdict(replace(at, evaluations=total))
+    return Outcome(**ended, lost_controllability=lost, interrupted=interrupted)
+
+
+def _accept(problem: Problem, size: float, solution: Solution, limit: float) -> _Step:
+    """Commit what the solve ended with, if it is in balance to the limit."""
+    if not (solution.converged or solution.residual <= limit):
+        problem.reject()
+        return _Step(reason=f"ends with FNORM/RNORM = {solution.residual:.2e} ({solution.reason})")
+    problem.accept(size)
+    return _Step(
+        solution.iterations,
+        solution.residual,
+        solution.converged,
+        work=problem.work,
+        lost_work=abs(problem.lost_work),
     )
 
 
-def _behind(at: Position, load: float, solution: Solution, stepping: LoadStepping) -> Position:
+def _cross(
+    problem: Problem, size: float, stepping: LoadStepping, hold: Callable[[], None]
+) -> _Step:
+    """Let the specimen move to another equilibrium, instead of the one that was not found."""
+    problem.reject()
+    limit = problem.convergence.force or stepping.looser_limit
+    crossed = cross(problem, size, hold, limit, stepping.crossing)
+    if not crossed.residual <= max(limit, stepping.looser_limit):
+        return _Step(
+            reason=f"has no end in balance: after {crossed.moves} moves FNORM/RNORM ="
+            f" {crossed.residual:.2e} ({crossed.reason})"
+        )
+    return _Step(
+        crossed.iterations,
+        crossed.residual,
+        not crossed.reason,
+        crossed.moves,
+        crossed.work,
+        crossed.lost_work,
+    )
+
+
+def _behind(at: Position, load: float, ended: _Step, stepping: LoadStepping) -> Position:
     """The position behind an accepted step that ends at `load`; a cut step may grow again."""
-    in_a_row = at.in_a_row + 1 if solution.converged else 0
+    in_a_row = at.in_a_row + 1 if ended.converged else 0
     step = at.step
     if in_a_row >= stepping.grow_after and step < stepping.step:
         step, in_a_row = min(2 * step, stepping.step), 0
@@ -212,6 +269,10 @@ def _behind(at: Position, load: float, solution: Solution, stepping: LoadSteppin
         step=step,
         in_a_row=in_a_row,
         steps=at.steps + 1,
-        not_converged=at.not_converged + (not solution.converged),
-        iterations=at.iterations + solution.iterations,
+        not_converged=at.not_converged + (not ended.converged),
+        iterations=at.iterations + ended.iterations,
+        crossings=at.crossings + (ended.moves > 0),
+        moves=at.moves + ended.moves,
+        work=at.work + ended.work,
+        lost_work=at.lost_work + ended.lost_work,
     )

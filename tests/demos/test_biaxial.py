@@ -172,6 +172,42 @@ def test_one_and_two_ranks_give_the_same_history(tmp_path):
         np.testing.assert_array_equal(two[name], one[name], err_msg=name)
 
 
+def test_elements_of_varied_friction_are_the_same_ones_on_two_ranks(tmp_path):
+    compile_kernels()
+    fields = []
+    for ranks in (1, 2):
+        folder = tmp_path / str(ranks)
+        result = run_on_ranks(
+            ranks, "demos.biaxial", "--grains", "64", "--seed", "5", "--accuracy", "fast",
+            "--mesh", "2", "3", "--friction-variability", "0.2", "--strain", "0.002",
+            "--output", str(folder), "--quiet",
+        )  # fmt: skip
+        assert result.returncode == 0, result.stderr
+        with h5py.File(folder / "biaxial_fields" / "000002.h5") as file:
+            fields.append(file["deviatoric_strain"][()])
+    assert np.ptp(fields[0]) > 0.05 * fields[0].mean()
+    np.testing.assert_allclose(fields[1], fields[0], rtol=1e-8)
+
+
+def test_a_path_that_cannot_be_followed_ends_with_code_three_and_all_that_was_reached(tmp_path):
+    result = run(
+        "--grains", 64, "--seed", 5, "--mesh", 1, 2, "--accuracy", "fast", "--strain", 0.04,
+        "--tolerance", 3e-4, "--looser-tolerance", 0, "--max-iterations", 3,
+        "--output", tmp_path,
+    )  # fmt: skip
+    assert result.returncode == 3, result.stderr
+    rows = history(tmp_path)
+    reached = rows["axial_strain"][-1]
+    assert 0 < reached < 0.04
+    assert f"lost controllability at load {reached:.6g}" in result.stdout
+    assert "to be trusted" in result.stdout or "no step" in result.stdout
+    assert (np.diff(rows["work_J"]) > 0).all() and (np.diff(rows["lost_work_J"]) >= 0).all()
+    steps = len(list((tmp_path / "biaxial_fields").glob("[0-9]*.h5"))) - 1
+    assert steps == len(rows)
+    for picture in PICTURES:
+        assert (tmp_path / picture).stat().st_size > 1000
+
+
 def test_a_run_that_is_stopped_and_resumed_gives_the_bits_of_one_that_is_not(tmp_path):
     arguments = (
         "--grains", 64, "--seed", 5, "--mesh", 1, 2, "--accuracy", "fast", "--quiet",
@@ -254,6 +290,16 @@ BAD_INPUT = {
     "negative D": ((*SECOND, "-1", "--element", "Q8"), "D = -1.0 N: it must be positive"),
     "D of zero": ((*SECOND, "0", "--element", "Q8"), "use --gradient first"),
     "no mixed space": ((*SECOND, "1", "--element", "Q4"), "choose one of Q8, Q9, T6"),
+    "friction that varies too much": (
+        ("--grains", 60, "--friction-variability", "0.6"),
+        "below the friction coefficient",
+    ),
+    "weak element that is not there": (
+        ("--grains", 60, "--friction-variability", "0.1", "--weak-element", "72"),
+        "elements 0 to 71",
+    ),
+    "weak element of no weakness": (("--weak-element", "2"), "needs --friction-variability"),
+    "unknown path following": (("--path-following", "luck"), "choose from none, crossing"),
     "deep dents": (("--imperfection", "0.3"), "--imperfection 0.3"),
     "zero tolerance": (("--tolerance", "0"), ""),
     "no threads": (("--threads", "0"), "threads"),

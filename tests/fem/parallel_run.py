@@ -8,9 +8,11 @@ import numpy as np
 from mpi4py import MPI
 
 from femxdem_fenicsx.fem.elements import element
+from femxdem_fenicsx.fem.path_following import Crossing
 from femxdem_fenicsx.fem.stepping import LoadStepping, walk
 from femxdem_fenicsx.law import Softening
 from tests.fem.laws import Failing, Fragile
+from tests.fem.snap_back import K0, PEAK, bar
 from tests.fem.specimen import Specimen
 
 COMM = MPI.COMM_WORLD
@@ -56,7 +58,17 @@ def numbers() -> dict:
         if modulus is not None:
             squares = sum((state.values**2).sum() for state in specimen.operator.states)
             found[case].append(COMM.allreduce(float(squares)))
+    found["crossing"] = crossing()
     return found
+
+
+def crossing() -> list[float]:
+    """A bar that snaps to another equilibrium."""
+    specimen = bar(cells=(2, 3))
+    stepping = LoadStepping(0.13 * K0, 0.13 * K0, looser_limit=0.0, crossing=Crossing())
+    outcome = walk(specimen.problem, specimen.compress, 1.2 * PEAK, stepping)
+    works = outcome.work, outcome.lost_work
+    return [specimen.top_force(), *works, outcome.crossings, outcome.moves, outcome.evaluations]
 
 
 def fail(error: Exception) -> None:

@@ -15,7 +15,8 @@ def test_one_and_two_ranks_give_the_same_numbers():
     one, two = json.loads(one.stdout), json.loads(two.stdout)
     assert one.keys() == two.keys()
     for case, numbers in one.items():
-        np.testing.assert_allclose(two[case], numbers, rtol=1e-12, err_msg=case)
+        tolerance = 1e-8 if case == "crossing" else 1e-12  # an unstable motion amplifies rounding
+        np.testing.assert_allclose(two[case], numbers, rtol=tolerance, err_msg=case)
 
 
 def test_a_law_that_raises_on_one_rank_ends_both_with_its_message(tmp_path):

@@ -1,0 +1,135 @@
+"""Past the peak: biaxial compression to 10 % strain, as in Guo and Zhao (2014) section 4.
+
+Prints one JSON object as its last line. `--quick`: 2 x 4 Q8 to 4.6 %, where the run of escript +
+YADE ends (`tests/data/yade/steps_2x4.csv`), and 6 x 10 Q4 to 10 %. Otherwise Guo and Zhao's meshes
+too, Q8 with their 3 x 3 points. Each run keeps its checkpoints and its result in a folder below
+`--output`: started again, the benchmark goes on where it was stopped.
+"""
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "demos")]
+import biaxial  # noqa: E402
+
+from femxdem_fenicsx import script  # noqa: E402
+from femxdem_fenicsx.arguments import packing_for  # noqa: E402
+from femxdem_fenicsx.compression import BALANCED_STEPS, LOST_WORK, WORST_RESIDUAL  # noqa: E402
+from femxdem_fenicsx.fem.output import on_first_rank, writable_folder  # noqa: E402
+from femxdem_fenicsx.shear_band import measure  # noqa: E402
+
+PACKING = ROOT / "tests" / "data" / "yade" / "packing.h5"
+#: (mesh, element, points, strain)
+QUICK = (((2, 4), "Q8", "2x2", 0.046), ((6, 10), "Q4", "2x2", 0.1))
+FULL = (
+    *QUICK,
+    ((10, 15), "Q4", "2x2", 0.1),
+    ((12, 20), "Q4", "2x2", 0.1),
+    ((6, 10), "Q8", "3x3", 0.1),
+)
+
+
+def main(comm: MPI.Comm) -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--output", type=Path, default=ROOT / "results" / "localisation")
+    parser.add_argument("--formulation", default="small", help="Guo and Zhao's is small")
+    parser.add_argument("--path-following", default="none")
+    parser.add_argument("--friction-variability", type=float)
+    args = script.parse(parser, comm)
+    runs = [run(comm, args, *case) for case in (QUICK if args.quick else FULL)]
+    good = all(
+        one["nonconverged_steps"] <= (1 - BALANCED_STEPS) * one["steps"]
+        and one["worst_residual"] <= WORST_RESIDUAL
+        and one["lost_work_share"] <= LOST_WORK
+        and one["strain_reached"] >= one["strain_asked"] - 1e-9
+        for one in runs
+    )
+    if comm.rank == 0:
+        print(json.dumps({"runs": runs, "in_balance": good, "cpu_count": os.cpu_count()}))
+    return 0
+
+
+def run(comm: MPI.Comm, args, mesh, element: str, points: str, strain: float) -> dict:
+    """One mesh: its result, from its folder where it was computed before."""
+    name = f"{mesh[0]}x{mesh[1]}_{element}_{points}"
+    folder = writable_folder(comm, args.output / name)
+    if comm.bcast((folder / "result.json").exists()):
+        return json.loads((folder / "result.json").read_text())
+    options = {
+        "--packing": PACKING,
+        "--element": element,
+        "--points": points,
+        "--strain": strain,
+        "--formulation": args.formulation,
+        "--path-following": args.path_following,
+        "--output": folder,
+    }
+    if args.friction_variability is not None:
+        options["--friction-variability"] = args.friction_variability
+    words = [str(word) for option in options.items() for word in option]
+    if comm.bcast(any((folder / "checkpoint").glob("step_*"))):
+        words.append("--resume")
+    parser = biaxial.arguments()
+    scene = parser.parse_args([*words, "--mesh", *map(str, mesh), "--quiet"])
+    scene.defaults = {action.dest: action.default for action in parser._actions}
+    specimen = biaxial.specimen_for(scene, packing_for(scene, comm, scene.dim), comm)
+    walked = biaxial.compress(specimen, scene)
+    if walked.signal:
+        raise SystemExit(script.SIGNALLED + walked.signal)
+    result = {"mesh": list(mesh), "element": element, "points": points, "gradient": "first"}
+    result |= {"strain_asked": strain} | figures(specimen, walked)
+    on_first_rank(comm, (folder / "result.json").write_text, json.dumps(result))
+    return result
+
+
+def figures(specimen, run) -> dict:
+    """What the run is measured by."""
+    rows, outcome = run.rows, run.outcome
+    peak = max(rows, key=lambda row: row["axial_stress_Pa"])
+    angle = np.degrees(np.arcsin((peak["stress_ratio"] - 1) / (peak["stress_ratio"] + 1)))
+    return {
+        "strain_reached": outcome.load,
+        "steps": outcome.steps,
+        "evaluations": outcome.evaluations,
+        "nonconverged_steps": outcome.not_converged,
+        "worst_residual": max(row["residual"] for row in rows),
+        "cuts": outcome.cuts,
+        "crossings": outcome.crossings,
+        "lost_work_share": outcome.lost_work / outcome.work,
+        "wall_s": sum(row["seconds"] for row in rows),
+        "peak_kpa": peak["axial_stress_Pa"] / 1e3,
+        "strain_at_peak": peak["axial_strain"],
+        "residual_kpa": rows[-1]["axial_stress_Pa"] / 1e3,
+        "failed_points": rows[-1]["failed_points"],
+        "mohr_coulomb_angle_deg": 45 + angle / 2,
+        **band(specimen),
+        "lost_controllability": outcome.lost_controllability,
+    }
+
+
+def band(specimen) -> dict:
+    """Inclination of the band to the horizontal, its width, the strain in it over that outside."""
+    comm = specimen.mesh.comm
+    parts = comm.allgather((specimen.points.coordinates()[:, :2], specimen.law.deviatoric_strain))
+    x, strain = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    try:
+        found = measure(x, strain)
+    except ValueError:
+        return {"band_angle_deg": None}
+    return {
+        "band_angle_deg": abs(found.angle),
+        "band_width_mm": 1e3 * found.width,
+        "band_contrast": found.contrast,
+    }
+
+
+if __name__ == "__main__":
+    script.run(main)
