@@ -233,6 +233,7 @@ def summary(specimen: Specimen, run: Run, seconds: float) -> dict[str, str]:
     peak = max(rows, key=lambda row: row["stress_ratio"])
     angle = np.degrees(np.arcsin((peak["stress_ratio"] - 1) / (peak["stress_ratio"] + 1)))
     dem = comm.allreduce(tally.seconds + tally.tangent_seconds, MPI.MAX)
+    crossings = f"{outcome.crossings} in {outcome.moves} moves"
     return {
         "peak stress ratio": f"{peak['stress_ratio']:.3f}",
         "peak friction angle": f"{angle:.1f} degrees",
@@ -244,7 +245,7 @@ def summary(specimen: Specimen, run: Run, seconds: float) -> dict[str, str]:
         "load steps": f"{outcome.steps}, {outcome.not_converged} of them not converged",
         "iterations": f"{outcome.iterations} ({outcome.evaluations} evaluations of the law)",
         "cut steps": f"{outcome.cuts}",
-        "crossings to another equilibrium": f"{outcome.crossings} in {outcome.moves} moves",
+        **({"crossings to another equilibrium": crossings} if outcome.crossings else {}),
         "work lost out of balance": f"{outcome.lost_work / max(outcome.work, 1e-300):.2%}",
         "behind the peak": trust(run),
         **reached_by(specimen).table,
