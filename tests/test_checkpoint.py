@@ -266,8 +266,9 @@ def test_a_checkpoint_of_the_first_format_is_gone_on_with(tmp_path):
     assert len(found) == len(expected) == 5
     for name in set(expected.dtype.names) - {"seconds"}:
         assert np.array_equal(found[name][:3], expected[name][:3]), name
-    for name in ("stress_ratio", "void_ratio"):  # other solvers end that near: see its README
-        np.testing.assert_allclose(found[name][3:], expected[name][3:], rtol=1e-3, err_msg=name)
+    # time steps have become some 1e-4 longer since, and other solvers end as near: see its README
+    for name in ("stress_ratio", "void_ratio"):
+        np.testing.assert_allclose(found[name][3:], expected[name][3:], rtol=5e-3, err_msg=name)
 
 
 def test_checksums_are_those_of_sha256sum(tmp_path):

@@ -293,7 +293,7 @@ def test_a_denser_packing_under_cyclic_stress_is_mobile_but_keeps_its_strength()
     size = np.abs(gamma[turns])
     assert (np.abs(tau[turns]) >= limit).all() and len(turns) > 6
     assert size[:2].max() < 0.02  # stiff in the first cycle,
-    assert np.abs(gamma).max() > 0.05  # mobile in the end:
+    assert np.abs(gamma).max() > 0.04  # mobile in the end (how soon, differs with the packing):
     assert size[-1] > 2 * size[0]  # a cycle goes further and further
     pressure = np.array([s.pressure for s in states])
     assert pressure.min() < 6e4  # of 100 kPa, lost between the ends of the cycles

@@ -34,7 +34,7 @@ FIELDS = {
 }
 
 
-def run(*arguments: object, timeout: float = 120) -> subprocess.CompletedProcess:
+def run(*arguments: object, timeout: float = 400) -> subprocess.CompletedProcess:
     command = [sys.executable, "demos/biaxial.py", *map(str, arguments)]
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     return subprocess.run(

@@ -131,7 +131,7 @@ def test_an_iterative_solver_comes_to_the_same(petsc_options):
     for options in (
         "-femxdem_ksp_type preonly",
         "-femxdem_ksp_type gmres -femxdem_ksp_rtol 1e-10 -femxdem_pc_type asm"
-        " -femxdem_pc_asm_blocks 4 -femxdem_pc_asm_overlap 4 -femxdem_sub_pc_type lu"
+        " -femxdem_pc_asm_blocks 4 -femxdem_pc_asm_overlap 1 -femxdem_sub_pc_type lu"
         " -femxdem_sub_pc_factor_mat_solver_type mumps",
     ):
         petsc_options(options)

@@ -46,7 +46,9 @@ def test_pstlo_without_friction_knows_no_rotation(sticking):
 def test_in_3d_both_agree():
     packing = reference_spheres()
     packing = packing.but(law=replace(packing.law, friction=1e6))
-    response = at_rest(packing, np.diag([1.0003, 1.0003, 0.999]), EXACT.but(tolerance=1e-8))
+    # a state in which no grains are about to touch, as some are with longer time steps
+    accuracy = EXACT.but(tolerance=1e-8, time_step=0.7)
+    response = at_rest(packing, np.diag([1.0003, 1.0003, 0.999]), accuracy)
     pstlo, demqo = tangent("PSTLO", response), tangent("DEMQO", response)
     scale = np.abs(pstlo).max()
     np.testing.assert_allclose(demqo, pstlo, rtol=0, atol=1e-2 * scale)
