@@ -3,6 +3,8 @@
 import os
 from pathlib import Path
 
+from tests.figures import figures  # noqa: F401
+
 # FFCx gives up where another process compiles the same form for more than 10 s: the processes of
 # pytest-xdist compile into a folder of their own each. Set before anything imports DOLFINx.
 if worker := os.environ.get("PYTEST_XDIST_WORKER"):

@@ -11,19 +11,6 @@ from femxdem_fenicsx.dem.structure import contact_numbers
 from tests.dem.scenes import cubic, hexagonal
 
 
-@pytest.fixture
-def figures(monkeypatch):
-    """Figures in the order in which they are saved."""
-    saved, savefig = [], Figure.savefig
-
-    def save(figure, *args, **kwargs):
-        saved.append(figure)
-        savefig(figure, *args, **kwargs)
-
-    monkeypatch.setattr(Figure, "savefig", save)
-    return saved
-
-
 def bars(axes) -> np.ndarray:
     return np.array([patch.get_height() for patch in axes.patches])
 

@@ -28,19 +28,6 @@ def loose() -> Packing:
     return packing.but(radii=0.8 * packing.radii)
 
 
-@pytest.fixture
-def figures(monkeypatch):
-    """Figures in the order in which they are saved."""
-    saved, savefig = [], Figure.savefig
-
-    def save(figure, *args, **kwargs):
-        saved.append(figure)
-        savefig(figure, *args, **kwargs)
-
-    monkeypatch.setattr(Figure, "savefig", save)
-    return saved
-
-
 def written(path) -> bool:
     """The file holds a picture with more than one colour."""
     return np.ptp(matplotlib.image.imread(path)[..., :3]) > 0.5

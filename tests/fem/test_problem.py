@@ -68,6 +68,23 @@ def test_the_first_guess_takes_away_what_the_last_step_left_out_of_balance():
     assert np.linalg.norm(left[0]) < 1e-6 * np.linalg.norm(left[1])
 
 
+def test_a_change_of_the_increment_that_goes_on_is_taken_along():
+    specimen = counting(tolerance=1e-10)
+    problem, guesses = specimen.problem, []
+    guess = problem._first_guess
+    problem._first_guess = lambda step: guesses.append(guess(step)) or guesses[-1].copy()
+    for step in range(5):
+        specimen.compress(0.02 * step, 0.02 * (step + 1))
+        change, goes_on = problem._change.copy(), problem._goes_on
+        assert problem.solve().converged
+        end = problem.u.x.array[: problem._size].copy()
+        problem.accept()
+    assert goes_on and not np.allclose(change, 0.0)
+    off = np.linalg.norm(guesses[-1] - end)
+    change[problem._constrained] = 0.0  # prescribed, whatever the guess
+    assert off < 0.5 * np.linalg.norm(guesses[-1] - change - end)
+
+
 def test_the_first_guess_by_the_tangent_costs_an_evaluation_in_the_first_step_alone():
     specimen = counting()
     specimen.problem.first_guess = "tangent"

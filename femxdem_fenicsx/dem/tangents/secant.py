@@ -37,6 +37,7 @@ class Secant:
         self.memory["box"] = np.zeros((size, dim, dim))
 
     def __call__(self, response: Response, F: np.ndarray) -> np.ndarray:
+        """C (B, d, d, d, d), Pa, at the last trial F (B, d, d)."""
         if not self.memory:
             self.start(response.size, F.shape[-1])
         elastic, box = self.memory["elastic"], self.memory["box"]
