@@ -13,7 +13,7 @@ from time import process_time
 import numpy as np
 
 from .dem.accuracy import PRESETS, Accuracy
-from .dem.contacts import LinearContact, RollingResistance
+from .dem.contacts import ContactLaw, LinearContact, RollingResistance
 from .dem.element_tests import drained_compression
 from .dem.grain_sizes import GivenRadii
 from .dem.loading import pressure_of
@@ -225,12 +225,29 @@ def physics(packings: Sequence[Packing], quick: bool) -> Iterator[Case]:
                 "grains per packing", f"{grains}", base, _regrained(first, grains, pressure),
                 other_grains=True,
             )  # fmt: skip
-    if not quick:
-        bare = replace(first.law, friction=0.0)
-        rolling = replace(first.law, rolling=RollingResistance(0.1))
-        yield Case("contacts", "as given", base)
-        for name, law in (("without friction", bare), ("with rolling resistance", rolling)):
-            yield Case("contacts", name, base, lambda packing, law=law: packing.but(law=law))
+    yield Case("contacts", "as given", base)
+    for name, law in switched(first.law).items():
+        yield Case("contacts", name, base, lambda packing, law=law: packing.but(law=law))
+
+
+def switched(law: ContactLaw) -> dict[str, ContactLaw]:
+    """The contact law with one feature switched on or off, by what is different."""
+    result = {}
+    if law.friction:
+        result["without friction"] = replace(law, friction=0.0, rolling=None, bonds=None)
+    else:
+        result["with friction"] = replace(law, friction=0.5)
+    if law.cohesion:
+        result["without cohesion"] = replace(law, cohesion=0.0)
+    if law.viscous_damping:
+        result["without viscous damping"] = replace(law, viscous_damping=0.0)
+    if law.bonds is not None:
+        result["without bonds"] = replace(law, bonds=None)
+    if law.rolling is not None:
+        result["without rolling resistance"] = replace(law, rolling=None)
+    elif law.friction:
+        result["with rolling resistance"] = replace(law, rolling=RollingResistance(0.1))
+    return result
 
 
 def _regrained(like: Packing, grains: int, pressure: float) -> Change:
@@ -264,9 +281,8 @@ def family(packing: Packing, count: int) -> list[Packing]:
 
 
 def study(
-    packing: Packing,
+    packings: Sequence[Packing],
     path: Path,
-    count: int = 5,
     quick: bool = False,
     threads: int = 1,
     show: Callable[[dict[str, object]], None] | None = None,
@@ -274,20 +290,20 @@ def study(
     """The whole trade-off of the micro scale.
 
     Args:
-        packing: to start from. path: that it is led along.
-        count: packings that errors are averaged over, and whose scatter they are compared with.
+        packings: that errors are averaged over, and whose scatter they are compared with (see
+            `family`). path: that they are led along.
         quick: fewer values.
         threads: for the reference run; the others take one, so that their time can be compared.
         show: called with each row, if given.
 
     Returns `presets`, `sweep` (rows of `figures`), `scatter`, `sentences` and `reference`.
     """
-    packings = family(packing, count)
-    run(packings[:1], replace(path, increments=1, drained=path.step), PRESETS["fast"])  # compiles
     reference = run(packings, path, SLOWEST, threads=threads)
+    short = replace(path, increments=1, drained=path.step)
     sweep = []
     for case in (*settings(quick), *physics(packings, quick)):
         changed = packings if case.change is None else [case.change(p) for p in packings]
+        run(changed[:1], short, PRESETS["fast"])  # compiles, which is not to be timed
         sweep.append(figures(case, run(changed, path, case.accuracy, case.law), reference))
         if show is not None:
             show(sweep[-1])
@@ -301,7 +317,7 @@ def study(
         },
         "sweep": sweep,
         "scatter": apart,
-        "packings": count,
+        "packings": len(packings),
         "reference": {
             "inertial_number": SLOWEST.inertial_number, "tolerance": SLOWEST.tolerance,
             "dem_steps": reference.steps,
@@ -310,16 +326,18 @@ def study(
     }  # fmt: skip
 
 
-def sentences(sweep: Sequence[dict], apart: float) -> list[str]:
-    """One for each setting: from its most accurate value to the fastest."""
+def sentences(
+    sweep: Sequence[dict], apart: float, error_name: str = "rms_stress_error"
+) -> list[str]:
+    """One for each setting: from its most costly value to the fastest."""
     told = []
     for setting in dict.fromkeys(row["setting"] for row in sweep):
         rows = [row for row in sweep if row["setting"] == setting]
         if len(rows) == 1:
             continue
         # another model costs more or less per step too, and its drained test tells it best
-        cost, name = "dem_steps", "rms_stress_error"
-        if not rows[0]["same_model"]:
+        cost, name = "dem_steps", error_name
+        if not all(row["same_model"] for row in rows):
             cost, name = "seconds", "curve_error"
         slow, fast = (f(rows, key=lambda row, cost=cost: row[cost]) for f in (max, min))
         times, error = slow[cost] / fast[cost], fast[name]

@@ -49,9 +49,9 @@ def run(args: argparse.Namespace) -> int:
     )
     threads = common.threads_of(args)
     packing = common.read_packing(args.packing)
-    result = tradeoff.study(
-        packing, path, args.packings, args.quick, threads, None if args.quiet else tell
-    )
+    packings = tradeoff.family(packing, args.packings)
+    show = None if args.quiet else tell
+    result = tradeoff.study(packings, path, args.quick, threads, show)
     write(args.output, result)
     rows = [
         (name, f"{row['dem_steps']:.0f}", f"{row['rms_stress_error']:.2%}",
