@@ -39,15 +39,24 @@ def tradeoff_tables(result: dict) -> list[str]:
         )
     lines += [
         "", "| setting | value | evaluations | 1000 DEM steps | error of the curve | of the peak |"
-        " at the end | s |", "|---|---|---|---|---|---|---|---|",
+        " at the end | of the area | of the void ratio | steps not converged | s |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]  # fmt: skip
     for row in result["macro"]:
-        lines.append(
-            f"| {row['setting']} | {row['value']} | {row['evaluations']} |"
-            f" {1e-3 * row['dem_steps']:.0f} | {row['curve_error']:.2%} |"
-            f" {row['peak_error']:+.2%} | {row['last_error']:+.2%} | {row['seconds']:.1f} |"
+        signed = (
+            f"{row[name]:+.2%} ± {row[f'{name}_spread']:.2%}"
+            for name in ("peak_error", "last_error", "area_error")
         )
-    return [*lines, "", *(f"- {sentence}" for sentence in result["sentences"])]
+        lines.append(
+            f"| {row['setting']} | {row['value']} | {row['evaluations']:.1f} |"
+            f" {1e-3 * row['dem_steps']:.0f} |"
+            f" {row['curve_error']:.2%} ± {row['curve_error_spread']:.2%} |"
+            f" {' | '.join(signed)} | {row['void_ratio_error']:.4f} |"
+            f" {row['not_converged']:.1f} | {row['seconds']:.1f} |"
+        )
+    for title, name in (("The packing", "sentences"), ("The coupled test", "macro_sentences")):
+        lines += ["", f"{title}:", "", *(f"- {sentence}" for sentence in result[name])]
+    return lines
 
 
 ALL = {"tradeoff": (run_tradeoff, draw_tradeoff)}

@@ -27,6 +27,8 @@ def together(comm: MPI.Comm, action: Callable, *arguments):
         Exception: the rank's own error, or a RuntimeError with the error of the first rank
             that failed.
     """
+    if comm.size == 1:
+        return action(*arguments)
     result, error = None, None
     try:
         result = action(*arguments)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from femxdem_fenicsx.double_stress import one_parameter
 from femxdem_fenicsx.fem.quadrature_points import QuadraturePoints
 
 from .first_gradient import FirstGradient
-from .second_gradient import SecondGradient
+
+if TYPE_CHECKING:
+    from .second_gradient import SecondGradient
 
 
 def medium_for(
@@ -20,5 +23,7 @@ def medium_for(
     """
     if args.gradient == "first":
         return FirstGradient(points, args.formulation)
+    from .second_gradient import SecondGradient  # a first-gradient run does not even load it
+
     stiffness = one_parameter(args.second_gradient_modulus, points.mesh.geometry.dim)
     return SecondGradient(points, args.formulation, stiffness)
