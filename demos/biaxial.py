@@ -134,7 +134,9 @@ def dent(mesh, depth: float, width: float, height: float) -> None:
 
 def compress(specimen: Specimen, args: argparse.Namespace) -> Run:
     stepping, saving = shared.stepping_of(args), shared.saving_of(args, specimen.law)
-    return load(specimen, args.strain, stepping, args.output / "biaxial", args.quiet, saving)
+    return load(
+        specimen, args.strain, stepping, args.output / "biaxial", args.quiet, saving, args.fields
+    )
 
 
 # ## Results

@@ -118,7 +118,9 @@ def main(comm: MPI.Comm) -> int:
     writable_folder(comm, args.output)
     specimen = specimen_for(args, shared.packing_for(args, comm, 3), comm)
     stepping, saving = shared.stepping_of(args), shared.saving_of(args, specimen.law)
-    run = load(specimen, args.strain, stepping, args.output / "triaxial", args.quiet, saving)
+    run = load(
+        specimen, args.strain, stepping, args.output / "triaxial", args.quiet, saving, args.fields
+    )
     if not run.signal:
         save_results(specimen, run.rows, args.output)
     seconds = perf_counter() - started

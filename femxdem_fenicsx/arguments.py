@@ -15,6 +15,7 @@ from mpi4py import MPI
 from . import contact_arguments, script
 from .checkpoint import Checkpoint, Saving
 from .collective import together
+from .compression import FIELDS
 from .dem.accuracy import PRESETS, Accuracy, preset
 from .dem.files import load_packing, save_packing
 from .dem.packing import Packing
@@ -155,6 +156,10 @@ def add_output(parser: argparse.ArgumentParser, folder: str) -> None:
     """Where results go."""
     output = parser.add_argument_group("output")
     output.add_argument("--output", type=Path, default=Path(folder), help="folder")
+    known = ", ".join(HomogenisedLaw.FIELDS)
+    output.add_argument(
+        "--fields", nargs="*", default=FIELDS, metavar="NAME", help=f"for ParaView: of {known}"
+    )
     output.add_argument("--quiet", action="store_true", help="no progress, no table")
     output.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
     output.add_argument(
@@ -181,6 +186,9 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
         raise ValueError(f"unknown formulation '{args.formulation}'; choose from {known}")
     element(args.element, args.points).check_dim(dim)
     _check_gradient(args, dim)
+    if unknown := set(args.fields) - set(HomogenisedLaw.FIELDS):
+        known = ", ".join(HomogenisedLaw.FIELDS)
+        raise ValueError(f"--fields {' '.join(sorted(unknown))}: choose from {known}")
     if args.path_following not in PATH_FOLLOWING:
         known = ", ".join(PATH_FOLLOWING)
         raise ValueError(f"unknown --path-following '{args.path_following}'; choose from {known}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -22,6 +23,9 @@ from .reached import Reached
 #: What a branch behind the peak must keep to be trusted: share of steps in balance, largest
 #: FNORM/RNORM of any, share of the reactions' work that is lost.
 BALANCED_STEPS, WORST_RESIDUAL, LOST_WORK = 0.95, 5e-2, 0.02
+
+#: What is written for ParaView where nothing else is asked for.
+FIELDS = ("stress", "deviatoric_strain", "void_ratio", "coordination_number", "fabric_anisotropy")
 
 #: Of history.csv; a plane-strain run has the mean out-of-plane stress at the end of the row.
 COLUMNS = (
@@ -89,6 +93,7 @@ def load(
     path: Path,
     quiet: bool = False,
     saving: Saving | None = None,
+    fields: Sequence[str] = FIELDS,
 ) -> Run:
     """Compress the specimen to an axial strain; steps are cut where they do not converge.
 
@@ -99,6 +104,7 @@ def load(
         path: of the fields, without suffix; history.csv and run.log go beside them.
         quiet: show no progress.
         saving: checkpoints to write, and perhaps one to go on from.
+        fields: names of the law's fields that are computed and written at every step.
 
     Raises what `load_path.follow` raises.
     """
@@ -107,7 +113,7 @@ def load(
         specimen.compress,
         columns_of(specimen.law),
         lambda record: row_of(specimen, record),
-        lambda: fields_of(specimen.law),
+        lambda: fields_of(specimen.law, fields),
         lambda row: (
             f"strain {row['axial_strain']:.2%}  stress ratio {row['stress_ratio']:.3f}"
             f"  iterations {row['iterations']}"
@@ -121,16 +127,15 @@ def columns_of(law: HomogenisedLaw | PlaneStrain) -> tuple[str, ...]:
     return (*COLUMNS, "out_of_plane_stress_Pa") if isinstance(law, PlaneStrain) else COLUMNS
 
 
-def fields_of(law: HomogenisedLaw | PlaneStrain) -> dict[str, np.ndarray]:
-    """What is written at every step, values at the points; stress is tension positive."""
-    fields = {
-        "stress": law.stress,
-        "deviatoric_strain": law.deviatoric_strain,
-        "void_ratio": law.void_ratio,
-        "coordination_number": law.coordination_number,
-        "fabric_anisotropy": law.fabric_anisotropy,
-    }
-    if isinstance(law, PlaneStrain):
+def fields_of(
+    law: HomogenisedLaw | PlaneStrain, names: Sequence[str] = FIELDS
+) -> dict[str, np.ndarray]:
+    """What is written at every step, values at the points; stress is tension positive.
+
+    With the stress goes that out of the plane, where there is one.
+    """
+    fields = {name: getattr(law, name) for name in names}
+    if isinstance(law, PlaneStrain) and "stress" in names:
         fields["out_of_plane_stress"] = law.out_of_plane_stress
     return fields
 
