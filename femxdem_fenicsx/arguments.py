@@ -196,6 +196,7 @@ def check(args: argparse.Namespace, dim: int, formulations: Sequence[str]) -> No
     accuracy_of(args)
     convergence_of(args)
     operator(args.operator)
+    stepping_of(args)
     if not 0 < args.step <= args.strain < 1:
         raise ValueError(
             f"--step {args.step} and --strain {args.strain}: need 0 < step <= strain < 1"

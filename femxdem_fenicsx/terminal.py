@@ -12,7 +12,7 @@ from rich.table import Table
 
 from .dem.preparation import NotReached
 
-USER_ERRORS = (ValueError, OSError, NotReached)
+USER_ERRORS = (ValueError, OSError, MemoryError, NotReached)
 USER_ERROR, LOST_CONTROLLABILITY = 2, 3
 
 

@@ -30,8 +30,11 @@ class Variability:
         """Friction coefficient of each element (elements,), around the packing's, `mean`.
 
         Raises:
-            ValueError: a deviation that is not in ]0, mean[, or an element that is not there.
+            ValueError: a deviation that is not in ]0, mean[, a seed below zero, or an element that
+                is not there.
         """
+        if self.seed < 0:
+            raise ValueError(f"variability seed {self.seed}: it must be 0 or more")
         if not 0 < self.deviation < mean:
             raise ValueError(
                 f"friction that varies by {self.deviation}: it must be above 0 and below the"

@@ -47,9 +47,10 @@ class Accuracy:
         return replace(self, **changes)
 
 
-#: Presets by name. `reference` are the settings of Desrues (section 2.4).
+#: Presets by name, chosen from the table in docs/accuracy.md. `reference` are the settings of
+#: Desrues (section 2.4).
 PRESETS = {
-    "fast": Accuracy(inertial_number=1e-2, tolerance=1e-2),
+    "fast": Accuracy(inertial_number=5e-3, tolerance=3e-2),
     "balanced": Accuracy(inertial_number=1e-3, tolerance=1e-2),
     "reference": Accuracy(inertial_number=1e-4, tolerance=1e-3, hold_limit=20000),
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class Convergence:
         max_iterations: give up after that many.
 
     Raises:
-        ValueError: no criterion, or a limit that is not positive.
+        ValueError: no criterion, or a limit that is not positive and finite.
     """
 
     force: float | None = 1e-2
@@ -26,7 +27,7 @@ class Convergence:
 
     def __post_init__(self):
         limits = [limit for limit in (self.force, self.displacement) if limit is not None]
-        if not limits or not all(limit > 0 for limit in limits) or self.max_iterations < 1:
+        if not limits or not all(0 < limit < inf for limit in limits) or self.max_iterations < 1:
             raise ValueError(
                 f"convergence by force {self.force}, displacement {self.displacement} in "
                 f"{self.max_iterations} iterations: give positive limits, one at least"

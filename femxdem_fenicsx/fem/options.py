@@ -57,3 +57,21 @@ def defaults(prefix: str) -> Iterator[None]:
     finally:
         for name in ours:
             options.delValue(name)
+
+
+def set_from_options(snes: PETSc.SNES) -> None:
+    """Let the solver take its options: the user's, and our defaults where there are none.
+
+    Raises ValueError, with what the user gave, where PETSc does not know a type or cannot read a
+    value.
+    """
+    prefix = snes.getOptionsPrefix()
+    given = PETSc.Options(prefix).getAll()
+    with defaults(prefix):
+        try:
+            snes.setFromOptions()
+        except PETSc.Error as error:
+            told = " ".join(f"-{prefix}{name} {value}".strip() for name, value in given.items())
+            raise ValueError(
+                f"PETSc does not take one of the options {told} (its error {error.ierr})"
+            ) from None

@@ -21,7 +21,7 @@ from .external_operator import ExternalOperator
 from .forecast import Forecast
 from .learnt import Learnt, cell_rows, from_cell_rows
 from .mesh_motion import MeshMotion
-from .options import PREFIX, defaults
+from .options import PREFIX, set_from_options
 from .viscosity import Viscosity
 
 REASONS = {
@@ -132,8 +132,7 @@ class Problem:
         snes.setJacobian(self._assemble_jacobian, self._matrix)
         snes.setConvergenceTest(self._test)
         snes.setTolerances(atol=0.0, max_it=self.convergence.max_iterations)
-        with defaults(prefix):
-            snes.setFromOptions()
+        set_from_options(snes)
         return snes
 
     def solve(self, step: float = 1.0) -> Solution:

@@ -38,7 +38,7 @@ class LoadStepping:
     def __post_init__(self):
         if self.smallest is None:
             object.__setattr__(self, "smallest", self.step / 8)
-        if not 0 < self.smallest <= self.step or self.looser_limit < 0 or self.grow_after < 1:
+        if not (0 < self.smallest <= self.step and self.looser_limit >= 0 and self.grow_after >= 1):
             raise ValueError(
                 f"load steps from {self.smallest} to {self.step}, looser limit "
                 f"{self.looser_limit}, growing after {self.grow_after}: sizes must be positive "
