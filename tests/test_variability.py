@@ -30,6 +30,9 @@ def test_one_weak_element_is_the_only_one_that_differs():
     [
         (Variability(0.0), "varies by 0.0"),
         (Variability(0.5), "below the friction coefficient of the grains, 0.5"),
+        (Variability(-0.1), "varies by -0.1"),
+        (Variability(np.nan), "varies by nan"),
+        (Variability(0.1, seed=-1), "variability seed -1: it must be 0 or more"),
         (Variability(0.1, weak_element=6), "elements 0 to 5"),
         (Variability(0.1, weak_element=-1), "weak element -1"),
     ],

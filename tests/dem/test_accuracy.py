@@ -38,7 +38,7 @@ def test_an_unknown_preset_is_answered_with_the_known_ones():
 def test_a_preset_with_changes_is_a_copy_and_unknown_settings_are_named():
     changed = PRESETS["fast"].but(tolerance=1e-4)
     assert changed.tolerance == 1e-4
-    assert PRESETS["fast"].tolerance == 1e-2
+    assert PRESETS["fast"].tolerance == preset("fast").tolerance == 3e-2
     with pytest.raises(ValueError, match="patience"):
         PRESETS["fast"].but(patience=3)
 
