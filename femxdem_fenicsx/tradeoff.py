@@ -312,7 +312,7 @@ def study(
     apart = scatter(reference)
     return {
         "presets": {
-            name: row | {"speedup_against_reference": slow / row["dem_steps"]}
+            name: row | {"speedup_against_reference": row["dem_steps"] / slow}
             for name, row in presets.items()
         },
         "sweep": sweep,

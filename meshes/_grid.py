@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import permutations
+from math import prod
 
 import numpy as np
 from dolfinx import mesh as dmesh
@@ -12,6 +13,8 @@ from mpi4py import MPI
 from femxdem_fenicsx.fem import _dolfinx
 from femxdem_fenicsx.fem.elements import Element
 
+#: A quadratic hexahedron has eight nodes of its own, and rank 0 numbers all of them by 32 bits.
+MOST_CELLS = 2**31 // 8
 #: Wave numbers of the shift of inner nodes along each axis, when a mesh is distorted.
 WAVES = np.array([[7, 3, 2], [5, -4, 3], [6, 4, -5]])
 
@@ -116,7 +119,7 @@ def vertex_near(mesh, *point: float) -> np.ndarray:
 def check(
     shape: str, size: tuple[float, ...], counts: tuple[int, ...], distortion: float, limit: float
 ) -> None:
-    """Raise ValueError for sizes that are not positive, no cells, a distortion out of range."""
+    """Raise ValueError for sizes that are not positive, no or too many cells, distortion out of range."""
     if not (np.isfinite(size).all() and min(size) > 0):
         sizes = " x ".join(f"{length} m" for length in size)
         every = "both" if len(size) == 2 else "all"
@@ -124,5 +127,8 @@ def check(
     if min(counts) < 1:
         cells = " x ".join(map(str, counts))
         raise ValueError(f"{shape} of {cells} cells: there must be one at least each way")
+    if prod(counts) > MOST_CELLS:
+        cells = " x ".join(map(str, counts))
+        raise ValueError(f"{shape} of {cells} cells: more than {MOST_CELLS} cannot be numbered")
     if not 0 <= distortion < limit:
         raise ValueError(f"mesh distortion {distortion}: it must be in [0, {limit})")

@@ -59,17 +59,21 @@ def defaults(prefix: str) -> Iterator[None]:
             options.delValue(name)
 
 
-def set_from_options(snes: PETSc.SNES) -> None:
+def set_from_options(snes: PETSc.SNES, matrix: PETSc.Mat) -> None:
     """Let the solver take its options: the user's, and our defaults where there are none.
 
-    Raises ValueError, with what the user gave, where PETSc does not know a type or cannot read a
-    value.
+    Raises ValueError, with what the user gave, where PETSc does not know a type, cannot read a
+    value, or has no such factorisation of this matrix.
     """
     prefix = snes.getOptionsPrefix()
     given = PETSc.Options(prefix).getAll()
     with defaults(prefix):
         try:
             snes.setFromOptions()
+            pc = snes.getKSP().getPC()
+            if pc.getType() in ("lu", "cholesky"):
+                pc.setOperators(matrix)
+                pc.setFactorSetUpSolverType()
         except PETSc.Error as error:
             told = " ".join(f"-{prefix}{name} {value}".strip() for name, value in given.items())
             raise ValueError(

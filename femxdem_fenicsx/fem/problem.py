@@ -132,7 +132,7 @@ class Problem:
         snes.setJacobian(self._assemble_jacobian, self._matrix)
         snes.setConvergenceTest(self._test)
         snes.setTolerances(atol=0.0, max_it=self.convergence.max_iterations)
-        set_from_options(snes)
+        set_from_options(snes, self._matrix)
         return snes
 
     def solve(self, step: float = 1.0) -> Solution:

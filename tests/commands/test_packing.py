@@ -25,6 +25,12 @@ def test_the_laboratory_runs_without_fenicsx():
     assert done.stdout == "[]\n", done.stderr
 
 
+def test_more_grains_than_there_is_memory_for_are_refused(femxdem, tmp_path):  # noqa: F811
+    words = ("packing", "prepare", "--grains", 10**12, "--output", tmp_path / "a.h5")
+    assert_refused(femxdem(*words), "Unable to allocate")
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_packing_is_prepared_as_asked(femxdem, tmp_path):  # noqa: F811
     path = tmp_path / "new" / "sand.h5"
     result = femxdem(

@@ -180,6 +180,21 @@ def test_the_default_scheme_needs_few_evaluations_with_a_tangent_that_is_too_sti
     assert evaluations["python"] <= evaluations["newtonls"]
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "-femxdem_snes_type bananas",
+        "-femxdem_ksp_type bananas",
+        "-femxdem_pc_factor_mat_solver_type bananas",
+        "-femxdem_snes_anderson_m bananas",
+    ],
+)
+def test_an_option_that_petsc_does_not_take_is_told_before_anything_is_solved(words, petsc_options):
+    petsc_options(words)
+    with pytest.raises(ValueError, match=f"^PETSc does not take one of the options {words}"):
+        counting()
+
+
 @pytest.mark.parametrize("scheme", ["python", "newtonls", "qn"])
 def test_an_astray_first_guess_is_a_failed_solve_and_no_crash(scheme, petsc_options):
     petsc_options(f"-femxdem_snes_type {scheme}")
@@ -268,6 +283,8 @@ def test_displacement_criterion_alone_asks_for_a_correction_first():
         {"force": None},
         {"force": 0.0},
         {"displacement": -1.0},
+        {"force": np.inf},
+        {"force": np.nan},
         {"max_iterations": 0},
     ],
 )

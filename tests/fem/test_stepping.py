@@ -103,7 +103,14 @@ def test_a_path_can_go_on_from_where_another_ended():
 
 @pytest.mark.parametrize(
     "arguments",
-    [{"step": 0.0}, {"step": 1.0, "smallest": 2.0}, {"step": 1.0, "grow_after": 0}],
+    [
+        {"step": 0.0},
+        {"step": np.nan},
+        {"step": 1.0, "smallest": 2.0},
+        {"step": 1.0, "grow_after": 0},
+        {"step": 1.0, "looser_limit": -1.0},
+        {"step": 1.0, "looser_limit": np.nan},
+    ],
 )
 def test_step_sizes_out_of_order_are_refused(arguments):
     with pytest.raises(ValueError, match="sizes must be positive"):

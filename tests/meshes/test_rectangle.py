@@ -47,6 +47,7 @@ def test_points_keep_the_number_that_they_have_in_the_whole_mesh():
         ((1.0, -1.0, 2, 2), "both sizes must be positive"),
         ((1.0, float("nan"), 2, 2), "both sizes must be positive"),
         ((1.0, 1.0, 0, 2), "one at least"),
+        ((1.0, 1.0, 10**9, 10**9), "1000000000 x 1000000000 cells: more than"),
     ],
 )
 def test_impossible_sizes_are_refused(sizes, message):
