@@ -312,7 +312,7 @@ def study(
     apart = scatter(reference)
     return {
         "presets": {
-            name: row | {"speedup_against_reference": row["dem_steps"] / slow}
+            name: row | {"speedup_against_reference": slow / row["dem_steps"]}
             for name, row in presets.items()
         },
         "sweep": sweep,

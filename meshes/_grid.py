@@ -119,7 +119,7 @@ def vertex_near(mesh, *point: float) -> np.ndarray:
 def check(
     shape: str, size: tuple[float, ...], counts: tuple[int, ...], distortion: float, limit: float
 ) -> None:
-    """Raise ValueError for sizes that are not positive, no or too many cells, distortion out of range."""
+    """Raise ValueError for sizes, numbers of cells and distortions that make no mesh."""
     if not (np.isfinite(size).all() and min(size) > 0):
         sizes = " x ".join(f"{length} m" for length in size)
         every = "both" if len(size) == 2 else "all"
