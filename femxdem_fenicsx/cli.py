@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from . import __version__, terminal
+from . import __version__, terminal, writing
 from .commands import calibrate, element_test, packing, tradeoff
 
 
@@ -35,6 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; its exit code. A user's mistake is one line and exit code 2."""
     try:
         args = parser().parse_args(arguments)
+        if getattr(args, "output", None) is not None:
+            writing.check_writable(args.output)  # now, not after an hour
         return args.run(args)
     except terminal.USER_ERRORS as error:
         print(f"error: {error}", file=sys.stderr, flush=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,6 +31,24 @@ def aside(path: str | Path) -> Iterator[Path]:
     finally:
         if beside.exists():
             beside.unlink()
+
+
+def check_writable(path: str | Path) -> None:
+    """Raise OSError, in one line, where no such file or folder could be written.
+
+    Nothing is made: what is tried is the first of its folders that there is.
+    """
+    path = Path(path)
+    if path.is_file():
+        path = path.parent
+    there = next(place for place in (path, *path.absolute().parents) if place.exists())
+    try:
+        if not there.is_dir():
+            raise NotADirectoryError(f"{there} is a file")
+        with tempfile.TemporaryFile(dir=there):
+            pass
+    except OSError as error:
+        raise OSError(f"{path}: cannot write there: {error.strerror or error}") from None
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -102,6 +102,7 @@ def random_packing(
             f"grains: with {grains} the box is lower than two diameters, and they meet their own"
             f" images; use more grains, {FEWEST_GRAINS[dim]} at least"
         )
+    _check_target(pressure, dim, tolerance)
     if thickness is None:
         thickness = 10 * (sizes.smallest + sizes.largest) if dim == 2 else 1.0
     load_kernels(law, dim)
@@ -251,14 +252,10 @@ def compress(
     where it overshoots.
     With `rng`, the grains start with random velocities, which mix a dilute packing.
 
-    Raises ValueError for a pressure that is not positive, and NotReached where it is not reached.
+    Raises ValueError for a pressure or a tolerance that cannot be reached, and NotReached for a
+    pressure that is not.
     """
-    if np.size(pressure) not in (1, packing.dim) or not (
-        np.isfinite(pressure).all() and np.min(pressure) > 0
-    ):
-        raise ValueError(
-            f"pressure: give one positive value (Pa) or {packing.dim} of them, got {pressure}"
-        )
+    _check_target(pressure, packing.dim, tolerance)
     target = np.diag(np.broadcast_to(np.asarray(pressure, dtype=float), packing.dim))
     pressure = float(np.trace(target)) / packing.dim
     material = packing.material
@@ -302,6 +299,18 @@ def compress(
         f" {(block + 1) * BLOCK} steps{why}",
         packing_of(packing, work),
     )
+
+
+def _check_target(pressure: float | Sequence[float], dim: int, tolerance: float) -> None:
+    """Raise ValueError for a pressure that is not positive and a tolerance out of ]0, 1[."""
+    if np.size(pressure) not in (1, dim) or not (
+        np.isfinite(pressure).all() and np.min(pressure) > 0
+    ):
+        raise ValueError(f"pressure: give one positive value (Pa) or {dim} of them, got {pressure}")
+    if not 0 < tolerance < 1:
+        raise ValueError(
+            f"tolerance of a pressure: it must be above 0 and below 1, got {tolerance}"
+        )
 
 
 def settle(packing: Packing, pressure: float | Sequence[float], tolerance: float = 1e-3) -> Packing:

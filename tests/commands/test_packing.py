@@ -31,6 +31,27 @@ def test_more_grains_than_there_is_memory_for_are_refused(femxdem, tmp_path):  #
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--pressure", -1), "pressure: give one positive value (Pa) or 2 of them, got -1.0"),
+        (("--pressure", "nan"), "got nan"),
+        (("--tolerance", 0), "tolerance of a pressure: it must be above 0 and below 1, got 0.0"),
+        (("--tolerance", "nan"), "got nan"),
+        (("--tolerance", "inf"), "got inf"),
+    ],
+)
+def test_a_pressure_that_is_none_is_refused_at_once(femxdem, tmp_path, words, told, monkeypatch):  # noqa: F811
+    monkeypatch.setattr("femxdem_fenicsx.dem.preparation.load_kernels", None)  # nothing is compiled
+    assert_refused(femxdem(*SMALL, "--output", tmp_path / "a.h5", *words), told)
+
+
+def test_output_that_cannot_be_written_is_refused_before_anything_is_computed(femxdem, tmp_path):  # noqa: F811
+    assert_refused(femxdem(*SMALL, "--output", "/proc/no/a.h5"), "/proc/no/a.h5: cannot write")
+    words = ("tradeoff", "--packing", tmp_path / "none.h5", "--output", "/proc/no")
+    assert_refused(femxdem(*words), "/proc/no: cannot write there")
+
+
 def test_a_packing_is_prepared_as_asked(femxdem, tmp_path):  # noqa: F811
     path = tmp_path / "new" / "sand.h5"
     result = femxdem(
