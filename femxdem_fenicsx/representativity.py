@@ -71,6 +71,8 @@ class Study:
     def __post_init__(self):
         if self.seeds < 2:
             raise ValueError(f"a scatter needs 2 seeds or more, got {self.seeds}")
+        if not 0 < self.pressure < np.inf:
+            raise ValueError(f"the pressure must be positive, got {self.pressure}")
         longest = max(self.step, self.sphere_step)
         if not longest <= self.strain < 0.5:
             raise ValueError(f"the strain must be in [{longest}, 0.5[, got {self.strain}")

@@ -92,6 +92,12 @@ def test_a_damaged_folder_or_study_is_refused(tmp_path):
     (tmp_path / "rows.csv").write_text("grains,seed\n100,1\n")
     with pytest.raises(ValueError, match="this table is damaged"):
         run(SMALL, tmp_path)
-    for values in ({"seeds": 1}, {"strain": 0.9}, {"disks": (), "spheres": ()}, {"disks": (10,)}):
-        with pytest.raises(ValueError):
+    for values, told in (
+        ({"seeds": 1}, "2 seeds or more"),
+        ({"strain": 0.9}, "the strain must be in"),
+        ({"pressure": np.nan}, "the pressure must be positive, got nan"),
+        ({"disks": (), "spheres": ()}, "one size of packing or more"),
+        ({"disks": (10,)}, "fewer than 50 grains"),
+    ):
+        with pytest.raises(ValueError, match=told):
             Study(**values)
