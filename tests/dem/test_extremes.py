@@ -234,7 +234,7 @@ def test_a_packing_not_at_rest_goes_on_with_its_hold_where_nothing_moves(packing
         assert response.deform(np.eye(2)[None]).hold_steps[0] == 25
         response.commit()
         holds += 1
-    assert holds > 5
+    assert holds > 2
     assert response.committed_outcome.unbalance[0] < 1e-7
     assert response.deform(np.eye(2)[None]).hold_steps[0] == 0
 
