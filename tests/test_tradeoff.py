@@ -198,6 +198,17 @@ def test_increments_from_rest_forget_how_the_grains_moved(packing):
     assert flows[0] == 0 < flows[1]
 
 
+def test_a_run_leads_each_packing_along_the_path_and_counts_steps_per_increment(packing):
+    law, stresses = HomogenisedLaw(packing, 2, PRESETS["fast"]), []
+    for _ in range(2):
+        stresses.append(law.evaluate(SHORT.F(2)))
+        law.commit()
+    found = tradeoff.run([packing, packing], SHORT, PRESETS["fast"])
+    np.testing.assert_array_equal(found.stress, [stresses, stresses])
+    assert found.steps == law.tally.steps / (2 * 2)
+    np.testing.assert_allclose(found.drained[:, 0], [1e-3, 2e-3])
+
+
 def test_slower_runs_are_nearer_to_a_very_slow_one_and_cost_more(packing):
     slow = tradeoff.run([packing], SHORT, PRESETS["reference"].but(inertial_number=2e-5))
     rows = [

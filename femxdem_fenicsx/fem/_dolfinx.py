@@ -167,12 +167,12 @@ def geometry_dofmap(mesh) -> np.ndarray:
     """Rows of ``mesh.geometry.x`` at the nodes of each cell, ghosts included, (c, k)."""
     geometry = mesh.geometry
     nodes = geometry.dofmaps[0] if VERSION >= (0, 11) else geometry.dofmap
-    return _rows(nodes, number_of_cells(mesh)[1])
+    return _rows(nodes, number_of_cells(mesh)[1], geometry.cmap.create_dof_layout())
 
 
 def dofmap(space) -> np.ndarray:
     """Blocked dofs of each cell, ghosts included, (c, k)."""
-    return _rows(space.dofmap.list, number_of_cells(space.mesh)[1])
+    return _rows(space.dofmap.list, number_of_cells(space.mesh)[1], space.dofmap.dof_layout)
 
 
 def vtk_order(mesh, nodes: int) -> np.ndarray:
@@ -189,9 +189,8 @@ def cell_values(function) -> np.ndarray:
     """
     space = function.function_space
     block = space.dofmap.index_map_bs
-    return function.x.array.reshape(-1, block)[dofmap(space)].reshape(
-        number_of_cells(space.mesh)[1], -1
-    )
+    dofs = dofmap(space)
+    return function.x.array.reshape(-1, block)[dofs].reshape(len(dofs), dofs.shape[1] * block)
 
 
 def set_cell_values(function, values: np.ndarray) -> None:
@@ -206,7 +205,7 @@ def cell_dofs(space) -> np.ndarray:
     """Unblocked dofs of each cell, ghosts included, in the order of `cell_values`, (c, k)."""
     block = space.dofmap.index_map_bs
     dofs = dofmap(space)[:, :, None] * block + np.arange(block)
-    return dofs.reshape(len(dofs), -1).astype(PETSc.IntType)
+    return dofs.reshape(len(dofs), dofs.shape[1] * block).astype(PETSc.IntType)
 
 
 def cell_matrices(matrix: PETSc.Mat, space) -> np.ndarray:
@@ -233,9 +232,10 @@ def set_cell_matrices(matrix: PETSc.Mat, space, values: np.ndarray) -> None:
     matrix.assemble()
 
 
-def _rows(adjacency, count: int) -> np.ndarray:
+def _rows(adjacency, count: int, layout) -> np.ndarray:
     flat = adjacency.array if hasattr(adjacency, "array") else np.asarray(adjacency)
-    return flat.reshape(count, -1)
+    columns = -1 if count else layout.num_dofs  # a rank without any cell
+    return flat.reshape(count, columns)
 
 
 # ---- expressions and linear algebra ------------------------------------------------------------

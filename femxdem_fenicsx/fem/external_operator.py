@@ -116,9 +116,8 @@ class ExternalOperator:
 
     def _set(self, function: fem.Function, values: np.ndarray) -> None:
         """Values at owned points; the ghosts get those of their owners."""
-        function.x.array.reshape(-1, self._block(function))[self._rows] = values.reshape(
-            self.points.size, -1
-        )
+        block = self._block(function)
+        function.x.array.reshape(-1, block)[self._rows] = values.reshape(self.points.size, block)
         function.x.scatter_forward()
 
     @staticmethod

@@ -90,9 +90,8 @@ class Fields:
         self._times: dict[int, tuple[float, dict[str, list[int]]]] = {}
         self._next = keep
         owned = slice(len(points.cells))
-        nodes = np.asarray(points.mesh.geometry.input_global_indices)[
-            _dolfinx.geometry_dofmap(points.mesh)[owned]
-        ]
+        numbers = np.asarray(points.mesh.geometry.input_global_indices, np.int64)
+        nodes = numbers[_dolfinx.geometry_dofmap(points.mesh)[owned]]
         self._dofs = _dolfinx.dofmap(displacement.function_space)[owned]
         x = points.mesh.geometry.x[_dolfinx.geometry_dofmap(points.mesh)[owned]][..., : self._dim]
         on_first_rank(self._comm, self._begin, keep, points.gather(nodes, x))

@@ -39,7 +39,7 @@ class PointState:
     @property
     def values(self) -> np.ndarray:
         """Committed values (size, *shape)."""
-        return self._table[self._rows].reshape(-1, *self._shape)
+        return self._table[self._rows].reshape(len(self._rows), *self._shape)
 
     @property
     def _table(self) -> np.ndarray:
@@ -64,7 +64,7 @@ class PointState:
 
     def _set(self, values: np.ndarray) -> None:
         # no ghost has a point here, and none is assembled
-        self._table[self._rows] = values.reshape(len(self._rows), -1)
+        self._table[self._rows] = values.reshape(len(self._rows), self._table.shape[1])
 
 
 def _shaped(matrix, shape: tuple[int, ...]):
