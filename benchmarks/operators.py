@@ -241,7 +241,8 @@ def at_two_states(study: Study) -> dict:
                 walked = load_from(specimen, reached, start, stepping)
                 result["reached"] = walked
             specimen.problem.forget()
-            result[state] = study_state(study, specimen, operators, start, spectra=study.spectra and start > 0)
+            spectra = study.spectra and start > 0
+            result[state] = study_state(study, specimen, operators, start, spectra)
         return result
 
 
