@@ -97,6 +97,8 @@ def random_packing(
         raise ValueError(f"a seed must be 0 or more, got {seed}")
     if dim not in (2, 3):
         raise ValueError(f"a packing has 2 or 3 dimensions, not {dim}")
+    if not 0 < density < np.inf:
+        raise ValueError(f"density of the grains: need a positive one (kg/m3), got {density}")
     if grains < FEWEST_GRAINS[dim]:
         raise ValueError(
             f"grains: with {grains} the box is lower than two diameters, and they meet their own"

@@ -39,9 +39,10 @@ def test_more_grains_than_there_is_memory_for_are_refused(femxdem, tmp_path):  #
         (("--tolerance", 0), "tolerance of a pressure: it must be above 0 and below 1, got 0.0"),
         (("--tolerance", "nan"), "got nan"),
         (("--tolerance", "inf"), "got inf"),
+        (("--grain-density", "inf"), "density of the grains: need a positive one (kg/m3), got inf"),
     ],
 )
-def test_a_pressure_that_is_none_is_refused_at_once(femxdem, tmp_path, words, told, monkeypatch):  # noqa: F811
+def test_a_target_that_is_none_is_refused_at_once(femxdem, tmp_path, words, told, monkeypatch):  # noqa: F811
     monkeypatch.setattr("femxdem_fenicsx.dem.preparation.load_kernels", None)  # nothing is compiled
     assert_refused(femxdem(*SMALL, "--output", tmp_path / "a.h5", *words), told)
 
