@@ -43,6 +43,19 @@ def test_each_assumption_that_is_violated_is_told_in_the_one_warning_line(calm, 
     assert told in warning
 
 
+def test_all_that_is_violated_is_told_at_once_and_the_table_has_the_numbers(calm):
+    bad = replace(calm, holds_at_limit=0.034, unbalance=0.2, inertial_number=0.3, overlap=0.17)
+    holds, faster, overlap = bad.warning.split("; ")
+    assert holds.startswith("warning: less accurate than asked for: 3.4% of the holds ended at")
+    assert faster.startswith("an inertial number of 3.0e-01 was reached")
+    assert overlap.startswith("grains overlapped by up to 17%")
+    assert bad.table == {
+        "holds that ended at their limit": "3.4%",
+        "worst unbalance, largest overlap": "2.0e-01, 1.7e-01",
+        "largest inertial number": "3.0e-01",
+    }
+
+
 def test_packings_that_lose_their_pressure_are_faster_than_asked_for():
     law = HomogenisedLaw(reference_packing(), 1, FAST)
     for F in [1.002 * np.eye(2)] * 4 + [np.eye(2) / 1.002] * 4:
