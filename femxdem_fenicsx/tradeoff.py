@@ -62,6 +62,11 @@ class Path:
                 f"strain path: need 1 or more increments and directions and a step in ]0, 0.1[, got"
                 f" {self.increments}, {self.directions} and {self.step}"
             )
+        if not abs(self.lateral) * self.step < 0.1:
+            raise ValueError(
+                f"strain path: a lateral extension of {self.lateral} times {self.step} in one"
+                " increment; need less than 0.1"
+            )
 
     def F(self, dim: int) -> np.ndarray:
         """Of one increment, (directions, d, d), in the plane of the first and the last axis."""

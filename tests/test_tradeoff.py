@@ -40,6 +40,9 @@ def test_a_path_compresses_in_all_directions_and_turns_in_every_other_one():
         np.testing.assert_allclose(F[0, -1, -1], -1e-3)
     with pytest.raises(ValueError, match="strain path: need 1 or more"):
         Path(increments=0)
+    for lateral in (np.nan, 1e9, -np.inf):
+        with pytest.raises(ValueError, match="strain path: a lateral extension of"):
+            Path(lateral=lateral)
 
 
 def test_errors_are_root_mean_squares_over_the_mean_principal_stress():
