@@ -12,7 +12,7 @@ from .dem.element_tests import LIQUEFIED, isotropic_compression
 from .dem.homogenisation import fabric_anisotropy
 from .dem.mixed_control import ElementState, Servo
 from .dem.packing import Packing
-from .dem.preparation import NotReached
+from .dem.preparation import NotReached, check_stiffness
 from .dem.strength import SECANT, Strength, deviatoric_strain, friction_angle, strength
 from .homogenised_law import HomogenisedLaw
 
@@ -119,6 +119,8 @@ def specimen(
     """
     if pressure is not None and not (np.isfinite(pressure) and pressure > 0):
         raise ValueError(f"pressure must be positive (Pa), got {pressure}")
+    if pressure is not None:
+        check_stiffness(packing, pressure)
     if not 0 < tolerance < 1:
         raise ValueError(f"tolerance must be in ]0, 1[, got {tolerance}")
     law = HomogenisedLaw(packing, 1, accuracy)

@@ -17,6 +17,7 @@ from ..dem.files import save_packing
 from ..dem.load_path import read_path
 from ..dem.mixed_control import ElementState
 from ..dem.packing import Packing
+from ..dem.preparation import check_stiffness
 from ..dem.probes import Envelope
 from ..dem.tangents import operator
 from ..homogenised_law import HomogenisedLaw
@@ -86,6 +87,7 @@ def _isotropic_options(parser: argparse.ArgumentParser) -> None:
 def _isotropic(specimen, args):
     if not args.to > 0 or args.increments < 1:
         raise ValueError("--to must be a positive pressure and --increments 1 or more")
+    check_stiffness(specimen.packing, args.to)
     first = specimen.servo.pressure
     yield from tests.isotropic_compression(specimen.servo, args.to, args.increments)
     if args.unload:

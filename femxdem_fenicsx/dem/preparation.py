@@ -223,13 +223,8 @@ def _compact(dilute: Packing, pressure: float, tolerance: float, rng, progress) 
     going back from there is a matter of small strains: 100 disks at a level of 1e6 are ready after
     40,000 steps, where 1e6 steps did not do.
     """
+    check_stiffness(dilute, pressure)
     level = dilute.stiffness_level(pressure)
-    if level < SOFTEST:
-        overlap = dilute.overlap_under(pressure) / dilute.mean_diameter
-        raise ValueError(
-            f"pressure {pressure:.4g} Pa makes contacts overlap by about {overlap:.0%} of their"
-            " diameter: they are too soft for it; take stiffer contacts or less pressure"
-        )
     higher = pressure * max(level / STIFF, 1.0)
     packing = compress(dilute, higher, tolerance, rng, progress)
     while higher > pressure:
@@ -301,6 +296,16 @@ def compress(
         f" {(block + 1) * BLOCK} steps{why}",
         packing_of(packing, work),
     )
+
+
+def check_stiffness(packing: Packing, pressure: float) -> None:
+    """Raise ValueError for a pressure (Pa) under which grains are no grains in contact any more."""
+    if packing.stiffness_level(pressure) < SOFTEST:
+        overlap = packing.overlap_under(pressure) / packing.mean_diameter
+        raise ValueError(
+            f"pressure {pressure:.4g} Pa makes contacts overlap by about {overlap:.0%} of their"
+            " diameter: they are too soft for it; take stiffer contacts or less pressure"
+        )
 
 
 def _check_target(pressure: float | Sequence[float], dim: int, tolerance: float) -> None:

@@ -166,6 +166,8 @@ def written(path, text: str):
         (("isotropic", "--to", -1), "--to"),
         (("probes", "--directions", 2), "3 directions"),
         (("probes", "--size", 0), "size must be positive"),
+        (("biaxial", "--pressure", 1e12), "overlap by about 100% of their diameter"),
+        (("isotropic", "--to", 1e12), "overlap by about 100% of their diameter"),
         (("path", "--path", "nowhere.csv"), "nowhere.csv"),
         (("path",), "--path"),
         (("twist",), "invalid choice"),
