@@ -1,24 +1,21 @@
 """What docs/second-gradient.md shows of shear bands in grains: fields and curves of the benchmark.
 
-Used by `make_figures.py`. The runs are those of `benchmarks/mesh_independence.py --quick`, which
+The runs are those of `benchmarks/mesh_independence.py --quick`, which
 keeps them in results/ and goes on where it was stopped.
 """
 
 import json
-from collections.abc import Callable
-from pathlib import Path
 
 import h5py
 import matplotlib
 import numpy as np
+from figures_common import FIGURES, RESULTS, python
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from femxdem_fenicsx import plotting
 
-ROOT = Path(__file__).resolve().parents[1]
-FIGURES = ROOT / "docs" / "figures"
-RUNS = ROOT / "results" / "mesh_independence_quick"
+RUNS = RESULTS / "mesh_independence_quick"
 #: Folder of a run, its title.
 MAPS = {
     "128_10.0": "128 elements\nD = 10 N", "512_10.0": "512 elements\nD = 10 N",
@@ -28,7 +25,7 @@ MAPS = {
 COLOURS = dict(zip(("10.0", "first", "3.2"), plotting.COLOURS[:3], strict=True))
 
 
-def run(python: Callable[..., str]) -> None:
+def run_bands() -> None:
     """Corners of the deformed elements, deviatoric strain at the end, and stress, into one file."""
     python("benchmarks/mesh_independence.py", "--quick")
     kept = {}
@@ -46,7 +43,7 @@ def run(python: Callable[..., str]) -> None:
 
 
 @matplotlib.rc_context(plotting.STYLE)
-def draw() -> None:
+def draw_bands() -> None:
     kept = np.load(FIGURES / "bands.npz")
     figure = Figure((8.0, 3.0), layout="constrained")
     *maps, right = figure.subplots(1, len(MAPS) + 1, width_ratios=[1] * len(MAPS) + [2.6])
@@ -70,3 +67,6 @@ def draw() -> None:
     right.set_ylabel("stress ratio")
     right.legend(fontsize="x-small")
     figure.savefig(FIGURES / "bands.png")
+
+
+ALL = {"bands": (run_bands, draw_bands)}

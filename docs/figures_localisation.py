@@ -1,35 +1,30 @@
 """What docs/localisation.md shows: the law's roughness, the spectrum along the way, the runs.
 
-Used by `make_figures.py`. The runs are those of `benchmarks/localisation.py`, which keeps them in
+The runs are those of `benchmarks/localisation.py`, which keeps them in
 results/localisation and goes on where it was stopped.
 """
 
 import json
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from figures_common import FIGURES, PACKING, RESULTS, YADE, keep, python, table
 from matplotlib.figure import Figure
 from mpi4py import MPI
 
-ROOT = Path(__file__).resolve().parents[1]
-FIGURES = ROOT / "docs" / "figures"
-RESULTS = ROOT / "results"
-sys.path[:0] = [str(ROOT), str(ROOT / "demos"), str(ROOT / "benchmarks")]
-import biaxial  # noqa: E402
-from localisation import PACKING  # noqa: E402
+# figures_common tells where demos are
+# isort: split
+import biaxial
 
-from femxdem_fenicsx import plotting  # noqa: E402
-from femxdem_fenicsx.arguments import packing_for, stepping_of  # noqa: E402
-from femxdem_fenicsx.dem.accuracy import PRESETS  # noqa: E402
-from femxdem_fenicsx.dem.element_tests import drained_biaxial  # noqa: E402
-from femxdem_fenicsx.dem.files import load_packing, save_packing  # noqa: E402
-from femxdem_fenicsx.dem.lattices import hexagonal_packing  # noqa: E402
-from femxdem_fenicsx.fem.stepping import walk  # noqa: E402
-from femxdem_fenicsx.homogenised_law import HomogenisedLaw  # noqa: E402
+from femxdem_fenicsx import plotting
+from femxdem_fenicsx.arguments import packing_for, stepping_of
+from femxdem_fenicsx.dem.accuracy import PRESETS
+from femxdem_fenicsx.dem.element_tests import drained_biaxial
+from femxdem_fenicsx.dem.files import load_packing, save_packing
+from femxdem_fenicsx.dem.lattices import hexagonal_packing
+from femxdem_fenicsx.fem.stepping import walk
+from femxdem_fenicsx.homogenised_law import HomogenisedLaw
 
-YADE = ROOT / "tests" / "data" / "yade"
 #: Axial strains of the packings whose stress is followed along a line.
 STATES = (0.01, 0.03, 0.06)
 #: Axial strains of the increments along a line.
@@ -210,21 +205,15 @@ def draw_hexagonal() -> None:
     figure.savefig(FIGURES / "localisation_hexagonal.png", dpi=110)
 
 
-def table(name: str) -> np.ndarray:
-    return np.genfromtxt(FIGURES / f"{name}.csv", delimiter=",", names=True)
-
-
-def keep(history: Path, name: str) -> None:
+def keep_history(history: Path, name: str) -> None:
     """Keep the columns of a history that are drawn."""
     columns = "axial_strain", "stress_ratio", "volumetric_strain", "residual", "evaluations"
     data = np.genfromtxt(history, delimiter=",", names=True)
     rows = np.column_stack([data[column] for column in columns])
-    header, path = ",".join(columns), FIGURES / f"localisation_{name}.csv"
-    np.savetxt(path, rows, fmt="%.5g", delimiter=",", header=header, comments="")
+    keep(f"localisation_{name}", ",".join(columns), rows)
 
 
-def run(python: Callable[..., str]) -> None:
-    """Compute everything; `python` runs a script of this repository with arguments."""
+def run_localisation() -> None:
     run_roughness()
     run_spectrum()
     varied = RESULTS / "localisation_varied"
@@ -233,10 +222,10 @@ def run(python: Callable[..., str]) -> None:
         "benchmarks/localisation.py", "--quick", "--friction-variability", "0.05",
         "--output", str(varied),
     )  # fmt: skip
-    keep(RESULTS / "localisation" / "2x4_Q8_2x2" / "history.csv", "2x4_q8")
-    keep(RESULTS / "localisation" / "6x10_Q4_2x2" / "history.csv", "6x10_q4")
-    keep(RESULTS / "localisation" / "6x10_Q8_3x3" / "history.csv", "6x10_q8_3x3")
-    keep(varied / "6x10_Q4_2x2" / "history.csv", "6x10_q4_varied")
+    keep_history(RESULTS / "localisation" / "2x4_Q8_2x2" / "history.csv", "2x4_q8")
+    keep_history(RESULTS / "localisation" / "6x10_Q4_2x2" / "history.csv", "6x10_q4")
+    keep_history(RESULTS / "localisation" / "6x10_Q8_3x3" / "history.csv", "6x10_q8_3x3")
+    keep_history(varied / "6x10_Q4_2x2" / "history.csv", "6x10_q4_varied")
     hexagonal = RESULTS / "hexagonal.h5"
     save_packing(hexagonal, hexagonal_packing(400))
     words = "--mesh 2 4 --element Q4 --formulation small --strain 0.1 --quiet --path-following"
@@ -244,12 +233,14 @@ def run(python: Callable[..., str]) -> None:
         folder = RESULTS / f"hexagonal_{name}"
         where = "--packing", str(hexagonal), "--output", str(folder)
         python("demos/biaxial.py", *words.split(), name, *where)
-        keep(folder / "history.csv", f"hexagonal_{name}")
+        keep_history(folder / "history.csv", f"hexagonal_{name}")
 
 
-def draw() -> None:
-    """Draw from what is kept."""
+def draw_localisation() -> None:
     draw_roughness()
     draw_spectrum()
     draw_runs()
     draw_hexagonal()
+
+
+ALL = {"localisation": (run_localisation, draw_localisation)}

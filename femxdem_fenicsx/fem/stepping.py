@@ -7,8 +7,9 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 
 from ..collective import Interrupted
+from .convergence import Solution
 from .path_following import Crossing, cross
-from .problem import Problem, Solution
+from .problem import Problem
 
 
 @dataclass(frozen=True)
