@@ -81,7 +81,8 @@ def main(comm: MPI.Comm) -> int:
         runs.append(measured)
         together(comm, save, comm, path, measured)
     if comm.rank == 0:
-        print(json.dumps({"grains": grains, "strain": args.strain, "runs": runs}))
+        whole = {"grains": grains, "strain": args.strain, "runs": runs}
+        print(json.dumps(whole | {"power_of_D": power(folder, runs)}))
     return 0
 
 
@@ -89,6 +90,30 @@ def columns_and_modulus(word: str) -> tuple[int, float | None]:
     """ "16:3.2" or "16:first"."""
     columns, modulus = word.split(":")
     return int(columns), None if modulus == "first" else float(modulus)
+
+
+def power(folder: Path, runs: list[dict]) -> dict | None:
+    """Power of D with which widths go (eq. 46: 0.5), in the finest runs of each D.
+
+    Narrow bands strain faster than wide ones, and a packing softens less the further it has
+    strained. Compared are therefore bands of the same strain, the largest that all have had, and,
+    beside that, those at the same axial strain, the last of all.
+    """
+    finest = {run["D"]: run for run in sorted(runs, key=lambda run: run["elements"]) if run["D"]}
+    if len(finest) < 2:
+        return None
+    histories = [
+        np.genfromtxt(folder / f"{run['elements']}_{D}" / "history.csv", delimiter=",", names=True)
+        for D, run in finest.items()
+    ]
+    histories = [rows[rows["band_width"] > 0] for rows in histories]
+    found = {"D": list(finest)}
+    for by in ("band_strain", "axial_strain"):
+        common = min(rows[by].max() for rows in histories)
+        widths = [rows["band_width"][np.argmax(rows[by] >= common)] for rows in histories]
+        slope = np.polyfit(np.log(found["D"]), np.log(widths), 1)[0]
+        found[by] = {"at": common, "widths": widths, "power": float(slope)}
+    return found
 
 
 def save(comm: MPI.Comm, path: Path, run: dict) -> None:
