@@ -7,7 +7,8 @@ gets. Steps are never cut; one that does not converge within 20 iterations is ac
 and counted.
 
 Prints tables, and one JSON object as its last line. What is finished is kept in the output folder,
-and a run that was stopped goes on from there. `--quick`: 8 elements, larger steps.
+and a run that was stopped goes on from there. `--quick`: 8 elements; spectra of K^-1 J too, which
+take two evaluations a degree of freedom.
 """
 
 import argparse
@@ -38,7 +39,7 @@ from femxdem_fenicsx.dem.tangents import OPERATORS, operator  # noqa: E402
 from femxdem_fenicsx.fem.stepping import LoadStepping, walk  # noqa: E402
 
 PRESSURE = 1e5
-STRAIN, BEFORE, AFTER = 0.02, 0.005, 0.015
+STRAIN, STEP, BEFORE, AFTER = 0.02, 5e-4, 0.005, 0.015
 MOST_ITERATIONS = 20
 LOOSER_LIMIT = 5e-2
 #: Iterations of a convergence curve, which goes on below the tolerance.
@@ -57,7 +58,7 @@ class Study:
 
     packing: Path
     mesh: tuple[int, int]
-    step: float
+    spectra: bool
     folder: Path
     threads: int | None
     names: list[str]
@@ -65,27 +66,21 @@ class Study:
 
 def main(comm: MPI.Comm) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="2 x 4 elements, steps of 0.05 %%")
+    parser.add_argument("--quick", action="store_true", help="2 x 4 elements")
     parser.add_argument("--output", type=Path, help="folder (results/operators or operators-quick)")
-    parser.add_argument(
-        "--operators", nargs="+",
-        help="whose runs to make (all and 'default'; --quick without DEMQO, whose auxiliary steps"
-        " take as long as all other runs together, and whose matrices are PSTLO's)",
-    )  # fmt: skip
+    parser.add_argument("--operators", nargs="+", help="whose runs to make (all and 'default')")
     parser.add_argument("--threads", type=int)
     args = script.parse(parser, comm)
     if comm.size > 1:
         raise ValueError("the study runs on one rank, with threads")
     quick = args.quick
-    names = args.operators or [
-        *(name for name in OPERATORS if not (quick and name == "DEMQO")), "default",
-    ]  # fmt: skip
+    names = args.operators or [*OPERATORS, "default"]
     for name in set(names) - {"default"}:
         operator(name)
     folder = args.output or ROOT / "results" / ("operators-quick" if quick else "operators")
     folder.mkdir(parents=True, exist_ok=True)
-    mesh, step = ((2, 4), 5e-4) if quick else ((8, 16), 2e-4)
-    study = Study(prepared(folder), mesh, step, folder, args.threads, names)
+    mesh = (2, 4) if quick else (8, 16)
+    study = Study(prepared(folder), mesh, quick, folder, args.threads, names)
     states = kept(folder / "states.json", lambda: at_two_states(study))
     runs = {
         name: kept(folder / f"{name}.json", lambda n=name: run(study, n)) for name in study.names
@@ -123,7 +118,7 @@ def prepared(folder: Path) -> Path:
 def scene(study: Study, folder: str | Path, name: str | None = None) -> argparse.Namespace:
     words = {
         "--packing": study.packing, "--formulation": "finite", "--strain": STRAIN,
-        "--step": study.step, "--element": "Q8", "--output": folder, "--pressure": PRESSURE,
+        "--step": STEP, "--element": "Q8", "--output": folder, "--pressure": PRESSURE,
         "--max-iterations": MOST_ITERATIONS, "--looser-tolerance": LOOSER_LIMIT,
     }  # fmt: skip
     if name is not None:
@@ -174,7 +169,7 @@ def run(study: Study, name: str) -> dict:
         probes = count_probes(specimen)
         counts: list[float] = []
         note_accepted(specimen, lambda: counts.append(probes()))
-        stepping = LoadStepping(study.step, study.step, LOOSER_LIMIT)
+        stepping = LoadStepping(STEP, STEP, LOOSER_LIMIT)
         computed = process_time()
         done = load(specimen, STRAIN, stepping, Path(folder) / "run", quiet=True)
         computed = process_time() - computed
@@ -239,14 +234,15 @@ def at_two_states(study: Study) -> dict:
 
         note_accepted(specimen, calibrate)
         result = {}
-        stepping = LoadStepping(study.step, study.step / 8, LOOSER_LIMIT)
+        stepping = LoadStepping(STEP, STEP / 8, LOOSER_LIMIT)
         for state, start in (("start", 0.0), ("before", BEFORE), ("after", AFTER)):
             reached = result.get("reached", 0.0)
             if start > reached:
                 walked = load_from(specimen, reached, start, stepping)
                 result["reached"] = walked
             specimen.problem.forget()
-            result[state] = study_state(study, specimen, operators, start, spectra=start > 0)
+            spectra = study.spectra and start > 0
+            result[state] = study_state(study, specimen, operators, start, spectra)
         return result
 
 
@@ -263,13 +259,13 @@ def study_state(study, specimen, operators, strain, spectra: bool) -> dict:
     problem.first_guess = "tangent"
     problem.convergence = type(convergence)(1e-12, None, CURVE)
     problem.snes.setTolerances(max_it=CURVE)
-    specimen.compress(strain, strain + study.step)
+    specimen.compress(strain, strain + STEP)
     best = None
     for name, each in operators.items():
         law._operator = each
         ratios: list[float] = []
         problem.snes.setMonitor(lambda *_, into=ratios: into.append(problem.residual))
-        problem.solve(study.step)
+        problem.solve(STEP)
         problem.snes.cancelMonitor()
         result["curves"][name] = ratios
         if best is None or min(ratios) < best[0]:
@@ -297,7 +293,7 @@ def spectra_of(study, specimen, operators) -> dict:
     problem = specimen.problem
     u = problem.u.x.array
     at, free = u.copy(), np.setdiff1d(np.arange(len(u)), problem._constrained)
-    size = study.step * specimen.height / study.mesh[1]
+    size = STEP * specimen.height / study.mesh[1]
     J = np.zeros((len(free), len(free)))
     for column, dof in enumerate(free):
         forces = []
@@ -349,7 +345,7 @@ def summary(study: Study, states: dict, runs: dict) -> dict:
     return {
         "operators": rows,
         "mesh": study.mesh,
-        "step": study.step,
+        "step": STEP,
         "strain_at_peak": judge["strain"][peak],
         "default_operator": runs["default"]["operator"] if "default" in runs else None,
         "states": states,
