@@ -24,6 +24,7 @@ import biaxial  # noqa: E402
 from femxdem_fenicsx import arguments, compression, script, shear_band  # noqa: E402
 from femxdem_fenicsx.checkpoint import complete  # noqa: E402
 from femxdem_fenicsx.collective import together  # noqa: E402
+from femxdem_fenicsx.dem.files import save_packing  # noqa: E402
 from femxdem_fenicsx.fem.stepping import LoadStepping, StepRecord  # noqa: E402
 from femxdem_fenicsx.load_path import Run, Scene, follow  # noqa: E402
 
@@ -57,6 +58,7 @@ def main(comm: MPI.Comm) -> int:
     grains = args.grains or (100 if args.quick else 400)
     mode = "quick" if args.quick else "full"
     folder = args.output or ROOT / "results" / f"mesh_independence_{mode}"
+    packing = together(comm, packing_of, comm, folder / "packing.h5", grains)
     runs = []
     for columns, modulus in args.runs or (QUICK if args.quick else FULL):
         name = f"{2 * columns**2}_{'first' if modulus is None else modulus}"
@@ -66,7 +68,7 @@ def main(comm: MPI.Comm) -> int:
             continue
         options = {
             **SCENE,
-            "--grains": grains,
+            "--packing": packing,
             "--strain": args.strain,
             "--accuracy": args.accuracy or ("fast" if args.quick else "balanced"),
             "--path-following": args.path_following,
@@ -84,6 +86,15 @@ def main(comm: MPI.Comm) -> int:
         whole = {"grains": grains, "strain": args.strain, "runs": runs}
         print(json.dumps(whole | {"power_of_D": power(folder, runs)}))
     return 0
+
+
+def packing_of(comm: MPI.Comm, path: Path, grains: int) -> Path:
+    """File with the packing of all runs: the same seed need not give the same one twice."""
+    if comm.rank == 0 and not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        args = biaxial.arguments().parse_args(["--grains", str(grains)])
+        save_packing(path, arguments.packing_for(args, MPI.COMM_SELF, 2))
+    return path
 
 
 def columns_and_modulus(word: str) -> tuple[int, float | None]:
@@ -144,7 +155,7 @@ def compress(comm: MPI.Comm, words: list[str]) -> tuple[dict, int]:
     )
     stepping = LoadStepping(
         args.step,
-        args.step / 2,
+        args.step / 16,
         args.looser_tolerance,
         crossing=arguments.PATH_FOLLOWING[args.path_following],
     )
