@@ -18,10 +18,10 @@ RUNS = RESULTS / "mesh_independence_quick"
 MAPS = {
     "128_10.0": "128\nD = 10 N", "512_10.0": "512\nD = 10 N", "2048_10.0": "2048\nD = 10 N",
     "512_3.2": "512\nD = 3.2 N", "512_1.0": "512\nD = 1 N",
-    "128_first": "128\nfirst", "512_first": "512\nfirst",
+    "128_first": "128\nfirst",
 }  # fmt: skip
-#: Columns of elements and D of these runs; the quick mode has all but that of 2048 elements.
-CASES = ["8:10", "16:10", "32:10", "16:3.2", "16:1", "8:first", "16:first"]
+#: Columns of elements and D of these runs; the quick mode has all but 32:10.
+CASES = ["8:10", "16:10", "32:10", "16:3.2", "16:1", "8:first"]
 COLOURS = dict(zip(("10.0", "first", "3.2", "1.0"), plotting.COLOURS[:4], strict=True))
 #: Of history.csv; and from which strain along it on a band is one.
 COLUMNS = ("axial_strain", "stress_ratio", "band_width", "band_strain")
@@ -31,7 +31,14 @@ STYLES = {"128": ":", "512": "-", "2048": "--"}
 
 def run_bands() -> None:
     """Corners of the deformed elements, deviatoric strain at the end, and stress, into one file."""
-    python("benchmarks/mesh_independence.py", "--quick", "--runs", *CASES)
+    python(
+        "benchmarks/mesh_independence.py",
+        "--quick",
+        "--runs",
+        *CASES,
+        "--path-following",
+        "crossing",
+    )
     kept = {}
     for name in MAPS:
         folder = RUNS / name
@@ -53,7 +60,7 @@ def draw_bands() -> None:
     stress, width = lower.subplots(1, 2)
     for axes, (name, title) in zip(upper.subplots(1, len(MAPS)), MAPS.items(), strict=True):
         strain, corners = kept[f"{name}/strain"], kept[f"{name}/corners"]
-        cells = PolyCollection(corners, array=strain / strain.max(), cmap="viridis", lw=0)
+        cells = PolyCollection(corners, array=strain / strain.max(), cmap="viridis", lw=0.2, ec="face")
         axes.add_collection(cells)
         axes.autoscale()
         axes.set(aspect="equal", xticks=[], yticks=[])
