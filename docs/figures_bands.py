@@ -60,7 +60,8 @@ def draw_bands() -> None:
     stress, width = lower.subplots(1, 2)
     for axes, (name, title) in zip(upper.subplots(1, len(MAPS)), MAPS.items(), strict=True):
         strain, corners = kept[f"{name}/strain"], kept[f"{name}/corners"]
-        cells = PolyCollection(corners, array=strain / strain.max(), cmap="viridis", lw=0.2, ec="face")
+        look = {"cmap": "viridis", "lw": 0.2, "ec": "face"}
+        cells = PolyCollection(corners, array=strain / strain.max(), **look)
         axes.add_collection(cells)
         axes.autoscale()
         axes.set(aspect="equal", xticks=[], yticks=[])
