@@ -2,14 +2,15 @@
 
 Desrues section 4.5 and eq. 46: with the second gradient the width of a band does not depend on
 the mesh, and goes with the square root of D. A dent in one side gives the band its place. The
-width is measured at the same strain in all runs (`femxdem_fenicsx.shear_band`). Prints one JSON
-object as its last line; each finished run is kept in the output folder and not run again.
+width is measured behind every step (`femxdem_fenicsx.shear_band`), so that runs can be compared at
+the same axial strain, or at the same strain in the band. Prints one JSON object as its last line;
+each finished run is kept in the output folder and not run again, a stopped one goes on from its
+last checkpoint.
 """
 
 import argparse
 import json
 import sys
-from dataclasses import asdict
 from pathlib import Path
 from time import perf_counter
 
@@ -20,11 +21,12 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "demos")]
 import biaxial  # noqa: E402
 
-from femxdem_fenicsx import script, shear_band  # noqa: E402
-from femxdem_fenicsx.arguments import packing_for  # noqa: E402
+from femxdem_fenicsx import arguments, compression, script, shear_band  # noqa: E402
+from femxdem_fenicsx.checkpoint import complete  # noqa: E402
 from femxdem_fenicsx.collective import together  # noqa: E402
-from femxdem_fenicsx.compression import load  # noqa: E402
-from femxdem_fenicsx.fem.stepping import LoadStepping  # noqa: E402
+from femxdem_fenicsx.dem.files import save_packing  # noqa: E402
+from femxdem_fenicsx.fem.stepping import LoadStepping, StepRecord  # noqa: E402
+from femxdem_fenicsx.load_path import Run, Scene, follow  # noqa: E402
 
 #: Columns of elements, and D in N (None: first gradient).
 FULL = [(8, 10.0), (16, 10.0), (32, 10.0), (16, 3.2), (16, 1.0), (32, 1.0),
@@ -32,6 +34,9 @@ FULL = [(8, 10.0), (16, 10.0), (32, 10.0), (16, 3.2), (16, 1.0), (32, 1.0),
 QUICK = [(8, 10.0), (16, 10.0), (8, None), (16, 1.0), (16, 3.2), (16, None)]
 SCENE = {"--element": "Q8", "--imperfection": 0.02, "--step": 5e-4, "--tolerance": 2e-2,
          "--looser-tolerance": 0.1, "--max-iterations": 12}  # fmt: skip
+#: Of a band, in history.csv; zero where there is none, and before this axial strain.
+BAND = ("band_width", "band_angle", "band_strain", "band_contrast")
+FORMING = 0.01
 
 
 def main(comm: MPI.Comm) -> int:
@@ -39,13 +44,23 @@ def main(comm: MPI.Comm) -> int:
     parser.add_argument("--grains", type=int, help="per point  (default: 400, quick 100)")
     parser.add_argument("--strain", type=float, default=0.03, help="axial strain of the measure")
     parser.add_argument("--quick", action="store_true", help="few grains, two meshes")
+    parser.add_argument(
+        "--runs",
+        nargs="+",
+        type=columns_and_modulus,
+        metavar="COLUMNS:D",
+        help="these instead, as 32:10 or 16:first",
+    )
+    parser.add_argument("--accuracy", help="(default: balanced, quick fast)")
+    parser.add_argument("--path-following", default="none", help="none, crossing")
     parser.add_argument("--output", type=Path, help="folder of runs  (default: results/...)")
     args = script.parse(parser, comm)
     grains = args.grains or (100 if args.quick else 400)
     mode = "quick" if args.quick else "full"
     folder = args.output or ROOT / "results" / f"mesh_independence_{mode}"
+    packing = together(comm, packing_of, comm, folder / "packing.h5", grains)
     runs = []
-    for columns, modulus in QUICK if args.quick else FULL:
+    for columns, modulus in args.runs or (QUICK if args.quick else FULL):
         name = f"{2 * columns**2}_{'first' if modulus is None else modulus}"
         path = folder / name / "run.json"
         if comm.bcast(path.exists()):
@@ -53,19 +68,63 @@ def main(comm: MPI.Comm) -> int:
             continue
         options = {
             **SCENE,
-            "--grains": grains,
+            "--packing": packing,
             "--strain": args.strain,
-            "--accuracy": "fast" if args.quick else "balanced",
+            "--accuracy": args.accuracy or ("fast" if args.quick else "balanced"),
+            "--path-following": args.path_following,
             "--output": path.parent,
         }
         if modulus is not None:
             options |= {"--gradient": "second", "--second-gradient-modulus": modulus}
         words = [str(word) for option in options.items() for word in option]
-        runs.append(compress(comm, [*words, "--mesh", str(columns), str(2 * columns)], modulus))
-        together(comm, save, comm, path, runs[-1])
+        measured, signal = compress(comm, [*words, "--mesh", str(columns), str(2 * columns)])
+        if signal:
+            return script.SIGNALLED + signal
+        runs.append(measured)
+        together(comm, save, comm, path, measured)
     if comm.rank == 0:
-        print(json.dumps({"grains": grains, "strain": args.strain, "runs": runs}))
+        whole = {"grains": grains, "strain": args.strain, "runs": runs}
+        print(json.dumps(whole | {"power_of_D": power(folder, runs)}))
     return 0
+
+
+def packing_of(comm: MPI.Comm, path: Path, grains: int) -> Path:
+    """File with the packing of all runs: the same seed need not give the same one twice."""
+    if comm.rank == 0 and not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        args = biaxial.arguments().parse_args(["--grains", str(grains)])
+        save_packing(path, arguments.packing_for(args, MPI.COMM_SELF, 2))
+    return path
+
+
+def columns_and_modulus(word: str) -> tuple[int, float | None]:
+    """ "16:3.2" or "16:first"."""
+    columns, modulus = word.split(":")
+    return int(columns), None if modulus == "first" else float(modulus)
+
+
+def power(folder: Path, runs: list[dict]) -> dict | None:
+    """Power of D with which widths go (eq. 46: 0.5), in the finest runs of each D.
+
+    Narrow bands strain faster than wide ones, and a packing softens less the further it has
+    strained. Compared are therefore bands of the same strain, the largest that all have had, and,
+    beside that, those at the same axial strain, the last of all.
+    """
+    finest = {run["D"]: run for run in sorted(runs, key=lambda run: run["elements"]) if run["D"]}
+    if len(finest) < 2:
+        return None
+    histories = [
+        np.genfromtxt(folder / f"{run['elements']}_{D}" / "history.csv", delimiter=",", names=True)
+        for D, run in finest.items()
+    ]
+    histories = [rows[rows["band_width"] > 0] for rows in histories]
+    found = {"D": list(finest)}
+    for by in ("band_strain", "axial_strain"):
+        common = min(rows[by].max() for rows in histories)
+        widths = [rows["band_width"][np.argmax(rows[by] >= common)] for rows in histories]
+        slope = np.polyfit(np.log(found["D"]), np.log(widths), 1)[0]
+        found[by] = {"at": common, "widths": widths, "power": float(slope)}
+    return found
 
 
 def save(comm: MPI.Comm, path: Path, run: dict) -> None:
@@ -74,33 +133,76 @@ def save(comm: MPI.Comm, path: Path, run: dict) -> None:
         print(json.dumps(run), flush=True)
 
 
-def compress(comm: MPI.Comm, words: list[str], modulus: float | None) -> dict:
-    """One run, measured."""
+def compress(comm: MPI.Comm, words: list[str]) -> tuple[dict, int]:
+    """One run, measured, and the signal that stopped it, or 0."""
     args = biaxial.arguments().parse_args([*words, "--quiet"])
+    args.resume = comm.bcast(bool(complete(arguments.checkpoint_folder(args))))
+    biaxial.shared.check(args, 2, biaxial.FORMULATIONS)
     together(comm, lambda: args.output.mkdir(parents=True, exist_ok=True))
-    specimen = biaxial.specimen_for(args, packing_for(args, comm, 2), comm)
+    specimen = biaxial.specimen_for(args, arguments.packing_for(args, comm, 2), comm)
+    law, started = specimen.law, perf_counter()
+
+    def row(record: StepRecord) -> dict[str, float]:
+        return compression.row_of(specimen, record) | band_of(specimen, record.load)
+
+    scene = Scene(
+        specimen.problem,
+        specimen.compress,
+        (*compression.columns_of(law), *BAND),
+        row,
+        lambda: compression.fields_of(law),
+        lambda row: f"strain {row['axial_strain']:.3%}  band {1e3 * row['band_width']:.1f} mm",
+    )
+    stepping = LoadStepping(
+        args.step,
+        args.step / 16,
+        args.looser_tolerance,
+        crossing=arguments.PATH_FOLLOWING[args.path_following],
+    )
+    saving = arguments.saving_of(args, law)
+    run = follow(scene, args.strain, stepping, args.output / "biaxial", True, saving)
+    dem = comm.allreduce(law.tally.seconds + law.tally.tangent_seconds, MPI.MAX)
+    return told(args, run, dem) | {"wall_seconds": perf_counter() - started}, run.signal
+
+
+def band_of(specimen: compression.Specimen, load: float) -> dict[str, float]:
+    """Width (m), angle (degrees), strain and contrast; zeros for a field without a band."""
+    if load < FORMING:
+        return dict.fromkeys(BAND, 0.0)
     points = specimen.points
-    x = points.coordinates()
-    started = perf_counter()
-    stepping = LoadStepping(args.step, args.step / 2, args.looser_tolerance)
-    run = load(specimen, args.strain, stepping, args.output / "biaxial", quiet=True)
     cells = len(points.cells)
-    strain = specimen.law.deviatoric_strain
-    found = points.gather(x.reshape(cells, -1, 2), strain.reshape(cells, -1))
-    band = comm.bcast(together(comm, measure, found))
-    rows, tally = run.rows, specimen.law.tally
+    found = points.gather(
+        points.coordinates().reshape(cells, -1, 2),
+        specimen.law.deviatoric_strain.reshape(cells, -1),
+    )
+
+    def measure() -> dict[str, float] | None:
+        if found is None:
+            return None
+        try:
+            band = shear_band.measure(*(np.concatenate(list(array)) for array in found))
+        except ValueError:
+            return dict.fromkeys(BAND, 0.0)
+        return dict(zip(BAND, (band.width, band.angle, band.strain, band.contrast), strict=True))
+
+    return points.mesh.comm.bcast(together(points.mesh.comm, measure))
+
+
+def told(args: argparse.Namespace, run: Run, dem_seconds: float) -> dict:
+    """What a run has shown. Seconds are those since it was started, or resumed."""
+    rows = run.rows
     peak = max(range(len(rows)), key=lambda k: rows[k]["stress_ratio"])
-    after = rows[peak + 1 :]
-    dem = comm.allreduce(tally.seconds + tally.tangent_seconds, MPI.MAX)
+    after, last = rows[peak + 1 :], rows[-1]
+    band = {name.removeprefix("band_"): last[name] for name in BAND} if last[BAND[0]] else None
     return {
         "elements": args.mesh[0] * args.mesh[1],
         "gradient": args.gradient,
-        "D": modulus,
-        "band_width": band["width"],
+        "D": args.second_gradient_modulus,
+        "band_width": band and band["width"],
         "band": band,
         "iterations": run.outcome.iterations,
         "evaluations": run.outcome.evaluations,
-        "residual_stress_kpa": rows[-1]["axial_stress_Pa"] / 1e3,
+        "residual_stress_kpa": last["axial_stress_Pa"] / 1e3,
         "peak_stress_kpa": rows[peak]["axial_stress_Pa"] / 1e3,
         "strain_at_peak": rows[peak]["axial_strain"],
         "strain_at_end": run.outcome.load,
@@ -108,22 +210,12 @@ def compress(comm: MPI.Comm, words: list[str], modulus: float | None) -> dict:
         "iterations_per_0.1_percent_after_peak": per_strain(after, "iterations", rows[peak]),
         "evaluations_per_0.1_percent_after_peak": per_strain(after, "evaluations", rows[peak]),
         "not_converged_after_peak": sum(not row["converged"] for row in after),
-        "fem_seconds": run.solving - dem,
-        "fem_share": (run.solving - dem) / run.solving,
-        "wall_seconds": perf_counter() - started,
+        "moves": sum(row["moves"] for row in rows),
+        "lost_work": last["lost_work_J"] / last["work_J"],
+        "fem_seconds": run.solving - dem_seconds,
+        "fem_share": (run.solving - dem_seconds) / run.solving,
         "lost_controllability": run.outcome.lost_controllability,
     }
-
-
-def measure(found) -> dict | None:
-    """On rank 0; a field without a band has width None."""
-    if found is None:
-        return None
-    x, strain = (np.concatenate(list(array)) for array in found)
-    try:
-        return asdict(shear_band.measure(x, strain))
-    except ValueError as error:
-        return {"width": None, "why": str(error)}
 
 
 def per_strain(rows: list[dict], name: str, peak: dict) -> float | None:

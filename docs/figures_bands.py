@@ -4,8 +4,6 @@ The runs are those of `benchmarks/mesh_independence.py --quick`, which
 keeps them in results/ and goes on where it was stopped.
 """
 
-import json
-
 import h5py
 import matplotlib
 import numpy as np
@@ -18,16 +16,29 @@ from femxdem_fenicsx import plotting
 RUNS = RESULTS / "mesh_independence_quick"
 #: Folder of a run, its title.
 MAPS = {
-    "128_10.0": "128 elements\nD = 10 N", "512_10.0": "512 elements\nD = 10 N",
-    "512_3.2": "512 elements\nD = 3.2 N", "128_first": "128 elements\nfirst gradient",
-    "512_first": "512 elements\nfirst gradient",
+    "128_10.0": "128\nD = 10 N", "512_10.0": "512\nD = 10 N", "2048_10.0": "2048\nD = 10 N",
+    "512_3.2": "512\nD = 3.2 N", "512_1.0": "512\nD = 1 N",
+    "128_first": "128\nfirst",
 }  # fmt: skip
-COLOURS = dict(zip(("10.0", "first", "3.2"), plotting.COLOURS[:3], strict=True))
+#: Columns of elements and D of these runs; the quick mode has all but 32:10.
+CASES = ["8:10", "16:10", "32:10", "16:3.2", "16:1", "8:first"]
+COLOURS = dict(zip(("10.0", "first", "3.2", "1.0"), plotting.COLOURS[:4], strict=True))
+#: Of history.csv; and from which strain along it on a band is one.
+COLUMNS = ("axial_strain", "stress_ratio", "band_width", "band_strain")
+FORMED = 0.04
+STYLES = {"128": ":", "512": "-", "2048": "--"}
 
 
 def run_bands() -> None:
     """Corners of the deformed elements, deviatoric strain at the end, and stress, into one file."""
-    python("benchmarks/mesh_independence.py", "--quick")
+    python(
+        "benchmarks/mesh_independence.py",
+        "--quick",
+        "--runs",
+        *CASES,
+        "--path-following",
+        "crossing",
+    )
     kept = {}
     for name in MAPS:
         folder = RUNS / name
@@ -37,35 +48,36 @@ def run_bands() -> None:
             kept[f"{name}/corners"] = x[mesh["topology"][:, :4]].astype(np.float32)
             kept[f"{name}/strain"] = fields["deviatoric_strain"][:, 0].astype(np.float32)
         rows = np.genfromtxt(folder / "history.csv", delimiter=",", names=True)
-        kept[f"{name}/curve"] = np.column_stack([rows["axial_strain"], rows["stress_ratio"]])
-        kept[f"{name}/width"] = json.loads((folder / "run.json").read_text())["band_width"]
+        kept[f"{name}/curve"] = np.column_stack([rows[column] for column in COLUMNS])
     np.savez_compressed(FIGURES / "bands.npz", **kept)
 
 
 @matplotlib.rc_context(plotting.STYLE)
 def draw_bands() -> None:
     kept = np.load(FIGURES / "bands.npz")
-    figure = Figure((8.0, 3.0), layout="constrained")
-    *maps, right = figure.subplots(1, len(MAPS) + 1, width_ratios=[1] * len(MAPS) + [2.6])
-    for axes, (name, title) in zip(maps, MAPS.items(), strict=True):
+    figure = Figure((8.0, 5.6), layout="constrained")
+    upper, lower = figure.subfigures(2, 1, height_ratios=[1, 1.2])
+    stress, width = lower.subplots(1, 2)
+    for axes, (name, title) in zip(upper.subplots(1, len(MAPS)), MAPS.items(), strict=True):
         strain, corners = kept[f"{name}/strain"], kept[f"{name}/corners"]
-        cells = PolyCollection(corners, array=strain / strain.max(), cmap="viridis", lw=0)
+        look = {"cmap": "viridis", "lw": 0.2, "ec": "face"}
+        cells = PolyCollection(corners, array=strain / strain.max(), **look)
         axes.add_collection(cells)
         axes.autoscale()
         axes.set(aspect="equal", xticks=[], yticks=[])
         axes.spines[:].set_visible(False)
         axes.set_title(title, fontsize="small")
-        end, width = kept[f"{name}/curve"][-1, 0], 1e3 * float(kept[f"{name}/width"])
-        axes.set_xlabel(f"{100 * end:.1f} %\n{width:.1f} mm", fontsize="small")
-        curve = kept[f"{name}/curve"]
-        style = "--" if name.startswith("128") else "-"
-        colour = COLOURS[name.split("_")[1]]
-        right.plot(
-            100 * curve[:, 0], curve[:, 1], ls=style, color=colour, label=title.replace("\n", ", ")
-        )
-    right.set_xlabel("axial strain (%), compression positive")
-    right.set_ylabel("stress ratio")
-    right.legend(fontsize="x-small")
+        axial, ratio, across, within = kept[f"{name}/curve"].T
+        axes.set_xlabel(f"{100 * axial[-1]:.1f} %\n{1e3 * across[-1]:.1f} mm", fontsize="small")
+        elements, modulus = name.split("_")
+        look = {"ls": STYLES[elements], "color": COLOURS[modulus]}
+        stress.plot(100 * axial, ratio, label=title.replace("\n", " elements, "), **look)
+        formed = within > FORMED
+        width.plot(100 * within[formed], 1e3 * across[formed], **look)
+    stress.set(xlabel="axial strain (%), compression positive", ylabel="stress ratio")
+    stress.legend(fontsize="x-small")
+    width.set(xlabel="deviatoric strain along the band (%)", ylabel="width of the band (mm)")
+    width.set_ylim(0, 30)
     figure.savefig(FIGURES / "bands.png")
 
 

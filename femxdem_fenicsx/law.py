@@ -296,32 +296,62 @@ class ShearSoftening(_Analytic):
         """Committed norm of dev e, (n,)."""
         return np.linalg.norm(self._deviator(self._state["strain"]), axis=(1, 2))
 
+    @property
+    def stress(self) -> np.ndarray:
+        """Committed stress (n, d, d), Pa."""
+        strain, kappa = self._state["strain"], self._state["kappa"]
+        intact, _ = self._intact(kappa)
+        return self._stress(strain, self._deviator(strain), intact)
+
     def evaluate(self, F: np.ndarray) -> np.ndarray:
-        delta = np.eye(self.dim)
-        strain = self._state["strain"] + 0.5 * (F + F.transpose(0, 2, 1)) - delta
+        strain = self._state["strain"] + 0.5 * (F + F.transpose(0, 2, 1)) - np.eye(self.dim)
         deviator = self._deviator(strain)
         kappa = np.maximum(self._state["kappa"], np.linalg.norm(deviator, axis=(1, 2)))
-        ratio = kappa / self._state["threshold"]
-        intact = np.exp((1 - ratio) / self._ductility) / ratio
+        intact, fall = self._intact(kappa)
         self._trial = self._state | {"strain": strain, "kappa": kappa}
-        self._last = (deviator, kappa, intact)
-        mean = np.trace(strain, axis1=1, axis2=2)[:, None, None] * delta
+        self._last = (deviator, kappa, intact, fall)
+        return self._stress(strain, deviator, intact)
+
+    def _stress(self, strain: np.ndarray, deviator: np.ndarray, intact: np.ndarray) -> np.ndarray:
+        mean = np.trace(strain, axis1=1, axis2=2)[:, None, None] * np.eye(self.dim)
         return self._bulk * mean + 2 * self._shear * intact[:, None, None] * deviator
+
+    def _intact(self, kappa: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """1 - D, and its derivative by kappa."""
+        ratio = kappa / self._state["threshold"]
+        height, slope = self._curve(ratio)
+        intact = height / ratio
+        return intact, (slope - intact) / kappa
+
+    def _curve(self, ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The deviator over its peak, and its slope, at kappa / k0 >= 1."""
+        height = np.exp((1 - ratio) / self._ductility)
+        return height, -height / self._ductility
 
     def _deviator(self, strain: np.ndarray) -> np.ndarray:
         trace = np.trace(strain, axis1=1, axis2=2)[:, None, None]
         return strain - trace * np.eye(self.dim) / self.dim
 
     def tangent(self) -> np.ndarray:
-        deviator, kappa, intact = self._last
+        deviator, kappa, intact, fall = self._last
         delta, grows = np.eye(self.dim), kappa > self._state["kappa"]
         spheric = np.einsum("ij,kl->ijkl", delta, delta)
         symmetric = np.einsum("ik,jl->ijkl", delta, delta) + np.einsum("il,jk->ijkl", delta, delta)
-        threshold = self._state["threshold"]
-        fall = intact * (1 / (self._ductility * threshold) + 1 / kappa) / kappa
-        slope = np.where(grows, -fall, 0.0)
+        slope = np.where(grows, fall / kappa, 0.0)
         return (
             self._bulk * spheric
             + self._shear * intact[:, None, None, None, None] * (symmetric - 2 / self.dim * spheric)
             + 2 * self._shear * np.einsum("n,nij,nkl->nijkl", slope, deviator, deviator)
         )
+
+
+class LinearShearSoftening(ShearSoftening):
+    """The same with a straight branch behind the peak: 1 - D = (k0 / kappa) (1 - (kappa / k0 - 1)
+    / m), and 0 from kappa = (1 + m) k0 on.
+
+    In shear its softening modulus is 2 G / m wherever it softens, so that bands have a closed form.
+    """
+
+    def _curve(self, ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        height = np.maximum(1 - (ratio - 1) / self._ductility, 0.0)
+        return height, np.where(height > 0, -1 / self._ductility, 0.0)

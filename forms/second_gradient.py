@@ -10,6 +10,14 @@ weakly, and the micro-stress lambda (d, d) that makes it follow (eq. 41, 43). Fo
 with x, n, dv, da at the end of the step and X, dV at its start; the formulation `small` takes the
 start for both. The double stress Sigma (d, d, d), N/m, starts from the committed one: `increment`.
 
+A multiplier that is constant in a cell holds the mean of grad u to that of nu alone. What it leaves
+free, that some points of a cell strain on while others unload, a softening material would do
+(docs/second-gradient.md). The solution does not change where in these equations lambda is
+
+    lambda - k (du_i/dX_j - nu_ij),    k = 12 D / l^2
+
+with k the stiffness that D gives to a strain that is linear across a cell of size l.
+
 So that all rows are forces and all unknowns lengths, nu is solved for times the size l of a cell,
 and the increment of lambda times l^3/D.
 """
@@ -28,6 +36,9 @@ from femxdem_fenicsx.fem.point_state import PointState
 from femxdem_fenicsx.fem.quadrature_points import QuadraturePoints
 
 from .first_gradient import deformation_gradient, pressure_work, stress_increment
+
+#: k l^2 / D. Any value between 3 and 24 gives the same.
+WITHIN_A_CELL = 12.0
 
 
 class SecondGradient:
@@ -75,13 +86,19 @@ class SecondGradient:
         self._increment = partial(increment, self.F, stiffness / largest, modulus, self._finite)
         turned = transformed(double_stress.committed, *[rotation(self.F)] * 3)
         self._Sigma = turned + self._increment(ufl.grad(nu))
-        self._lambda = micro_stress.committed + step
+        self._fine = fem.Constant(mesh, WITHIN_A_CELL * largest / self.length**2)
+        self._lambda = transformed(micro_stress.committed, rotation(self.F), rotation(self.F))
+        self._lambda += self._multiplier(u, nu, step)
         double_stress.follow(self._Sigma)
         micro_stress.follow(self._lambda)
 
     def _fields(self, mixed):
         u, nu, multiplier = ufl.split(mixed)
         return u, nu / self._l, self._scale * multiplier
+
+    def _multiplier(self, u, nu, step):
+        """The increment of lambda, Pa."""
+        return step - self._fine * (ufl.grad(u) - nu)
 
     def straight(self, side: np.ndarray, normal: int, component: int) -> list:
         """Conditions that go with a displacement component that is uniform along a plane side.
@@ -108,8 +125,8 @@ class SecondGradient:
     ) -> tuple[ufl.Form, ufl.Form]:
         """Residual (internal minus external forces) and Jacobian.
 
-        In 3D the Jacobian holds the rotation that turns the committed double stress: its
-        derivative would take minutes to compile. In 2D it is exact.
+        In 3D the Jacobian holds the rotation that turns the committed double stress and
+        micro-stress: its derivative would take minutes to compile. In 2D it is exact.
 
         Args:
             stress: quadrature function (d, d), Pa.
@@ -123,6 +140,7 @@ class SecondGradient:
         w, eta, mu = self._fields(ufl.TestFunction(space))
         trial = ufl.TrialFunction(space)
         u, nu, d = self.displacement, self.micro_strain, len(self.displacement)
+        du, dnu, dstep = self._fields(trial)
         # dv/dx = cofactor dV/dX, n da = cofactor N dA (Nanson), dv = J dV
         J = ufl.det(self.F) if self._finite else 1.0
         cofactor = J * ufl.inv(self.F).T if self._finite else ufl.Identity(d)
@@ -134,20 +152,27 @@ class SecondGradient:
             i, j, k, K = ufl.indices(4)
             return Sigma[i, j, k] * area[k, K] * ufl.grad(eta)[i, j, K] * dx
 
-        residual = ufl.inner((stress - self._lambda) * cofactor, ufl.grad(w)) * dx
-        residual += J * ufl.inner(self._lambda, eta) * dx
+        def micro_work(micro, area, volume):
+            work = volume * ufl.inner(micro, eta) - ufl.inner(micro * area, ufl.grad(w))
+            return work * dx
+
+        residual = ufl.inner(stress * cofactor, ufl.grad(w)) * dx
         residual -= ufl.inner(mu, ufl.grad(u) - nu) * dx
         normal = cofactor * ufl.FacetNormal(space.mesh)
         residual += pressure_work(pressures, normal, w)
         for double_force, ds in double_forces:
             residual -= ufl.inner(double_force, eta * normal) * ds
-        du, dnu, _ = self._fields(trial)
-        dSigma = derivative(self._Sigma) if d == 2 else self._increment(ufl.grad(dnu))
-        jacobian = derivative(residual) + double_work(dSigma, cofactor)
+        jacobian = derivative(residual)
+        jacobian += ufl.inner(stress_increment(tangent, du) * cofactor, ufl.grad(w)) * dx
+        exact = d == 2
+        dSigma = derivative(self._Sigma) if exact else self._increment(ufl.grad(dnu))
+        dlambda = derivative(self._lambda) if exact else self._multiplier(du, dnu, dstep)
+        jacobian += double_work(dSigma, cofactor) + micro_work(dlambda, cofactor, J)
         if self._finite:
             jacobian += double_work(self._Sigma, derivative(cofactor))
-        jacobian += ufl.inner(stress_increment(tangent, du) * cofactor, ufl.grad(w)) * dx
-        return residual + double_work(self._Sigma, cofactor), jacobian
+            jacobian += micro_work(self._lambda, derivative(cofactor), derivative(J))
+        residual += double_work(self._Sigma, cofactor) + micro_work(self._lambda, cofactor, J)
+        return residual, jacobian
 
 
 def increment(F, A: np.ndarray, D, finite: bool, G):
@@ -189,10 +214,13 @@ def rotation(F):
     return R
 
 
-def transformed(T, P, Q, R):
-    """P_ia Q_jb R_kc T_abc."""
-    i, j, k, a, b, c = ufl.indices(6)
-    return ufl.as_tensor(P[i, a] * Q[j, b] * R[k, c] * T[a, b, c], (i, j, k))
+def transformed(T, *by):
+    """P_ia Q_jb R_kc T_abc for a tensor T of as many indices as there are P, Q, R."""
+    new, old = ufl.indices(len(by)), ufl.indices(len(by))
+    product = T[old]
+    for matrix, i, a in zip(by, new, old, strict=True):
+        product = matrix[i, a] * product
+    return ufl.as_tensor(product, new)
 
 
 def _contracted(A: np.ndarray, E):

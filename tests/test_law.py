@@ -4,13 +4,21 @@ import h5py
 import numpy as np
 import pytest
 
-from femxdem_fenicsx.law import LinearElastic, NeoHookean, Softening
+from femxdem_fenicsx.law import (
+    LinearElastic,
+    LinearShearSoftening,
+    NeoHookean,
+    ShearSoftening,
+    Softening,
+)
 
 SIZE = 6
 LAWS = {
     "linear elastic": lambda: LinearElastic(SIZE, 100.0, 0.3, initial_stress=-np.eye(2)),
     "neo-Hookean": lambda: NeoHookean(SIZE, 100.0, 0.3),
     "softening": lambda: Softening(SIZE, 100.0, 0.3, threshold=0.05),
+    "softening in shear": lambda: ShearSoftening(SIZE, 100.0, 0.3, 0.05, 4.0),
+    "linear softening in shear": lambda: LinearShearSoftening(SIZE, 100.0, 0.3, 0.05, 4.0),
     "linear elastic in 3D": lambda: LinearElastic(SIZE, 100.0, 0.3, -np.eye(3), dim=3),
     "neo-Hookean in 3D": lambda: NeoHookean(SIZE, 100.0, 0.3, dim=3),
     "softening in 3D": lambda: Softening(SIZE, 100.0, 0.3, threshold=0.05, dim=3),
