@@ -67,19 +67,13 @@ def main(comm: MPI.Comm) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="2 x 4 elements, steps of 0.05 %%")
     parser.add_argument("--output", type=Path, help="folder (results/operators or operators-quick)")
-    parser.add_argument(
-        "--operators", nargs="+",
-        help="whose runs to make (all and 'default'; --quick without DEMQO, whose auxiliary steps"
-        " take as long as all other runs together, and whose matrices are PSTLO's)",
-    )  # fmt: skip
+    parser.add_argument("--operators", nargs="+", help="whose runs to make (all and 'default')")
     parser.add_argument("--threads", type=int)
     args = script.parse(parser, comm)
     if comm.size > 1:
         raise ValueError("the study runs on one rank, with threads")
     quick = args.quick
-    names = args.operators or [
-        *(name for name in OPERATORS if not (quick and name == "DEMQO")), "default",
-    ]  # fmt: skip
+    names = args.operators or [*OPERATORS, "default"]
     for name in set(names) - {"default"}:
         operator(name)
     folder = args.output or ROOT / "results" / ("operators-quick" if quick else "operators")

@@ -21,9 +21,9 @@ from .dem.packing import Packing
 from .dem.preparation import random_packing
 from .dem.tangents import OPERATORS, operator
 from .double_stress import one_parameter
+from .fem.convergence import Convergence
 from .fem.elements import element, names
 from .fem.path_following import Crossing
-from .fem.problem import Convergence
 from .fem.quadrature_points import QuadraturePoints
 from .fem.stepping import LoadStepping
 from .homogenised_law import HomogenisedLaw

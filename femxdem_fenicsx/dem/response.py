@@ -189,12 +189,15 @@ class Response:
         start: PackingBatch | None = None,
         material: Material | None = None,
         loading: Loading | None = None,
+        end: PackingBatch | None = None,
     ) -> Outcome:
         """What packings (n,) would answer to F (n, d, d); the trial state stays as it is.
 
-        From the committed state and as `deform` would, unless told otherwise.
+        From the committed state and as `deform` would, unless told otherwise. `end` takes the
+        states, each packing's in its own row.
         """
-        return self._run(F, packings, None, start, material, loading)
+        new = None if end is None else end.state
+        return self._run(F, packings, new, start, material, loading)
 
     def commit(self) -> None:
         """The trial state becomes the state; without a trial nothing changes."""

@@ -53,7 +53,7 @@ class IndirectControl:
         self._outer.getPC().setType("python")
         self._outer.getPC().setPythonContext(self)
         self._v: PETSc.Vec | None = None
-        last = problem.last_step[1]
+        last = problem.forecast.last[1]
         self.guess = size / largest(problem, last) * last
         self._c = self._aim()
 

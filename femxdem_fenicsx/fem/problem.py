@@ -16,7 +16,9 @@ from petsc4py import PETSc
 from ..collective import together
 from ..law import InadmissibleDeformation
 from . import _dolfinx
+from .convergence import Convergence, Solution
 from .external_operator import ExternalOperator
+from .forecast import Forecast
 from .indirect_control import IndirectControl
 from .learnt import Learnt, cell_rows, from_cell_rows
 from .mesh_motion import MeshMotion
@@ -29,64 +31,8 @@ REASONS = {
     if isinstance(value, int) and not name.startswith("_")
 }
 
-
-#: A change of the increment goes on if its error as a forecast was this share of that of none.
-CLEARLY = 0.7
 #: What the iteration of a step can start from, see `Problem`.
 FIRST_GUESSES = ("increment", "tangent")
-
-
-@dataclass(frozen=True)
-class Convergence:
-    """When a step is converged: each criterion that is given must hold.
-
-    Attributes:
-        force: FNORM/RNORM, the norm of the out-of-balance forces at the free dofs over that of
-            the reactions at the constrained ones (Argilaga §2 and footnote 7).
-        displacement: norm of the last correction over that of the step's displacement (Guo-Zhao
-            eq. 21, who take 1e-2).
-        max_iterations: give up after that many.
-
-    Raises:
-        ValueError: no criterion, or a limit that is not positive.
-    """
-
-    force: float | None = 1e-2
-    displacement: float | None = None
-    max_iterations: int = 20
-
-    def __post_init__(self):
-        limits = [limit for limit in (self.force, self.displacement) if limit is not None]
-        if not limits or not all(limit > 0 for limit in limits) or self.max_iterations < 1:
-            raise ValueError(
-                f"convergence by force {self.force}, displacement {self.displacement} in "
-                f"{self.max_iterations} iterations: give positive limits, one at least"
-            )
-
-    def holds(self, force: float, displacement: float) -> bool:
-        """Whether these two ratios satisfy all criteria."""
-        return (self.force is None or force <= self.force) and (
-            self.displacement is None or displacement <= self.displacement
-        )
-
-
-@dataclass(frozen=True)
-class Solution:
-    """How a solve ended.
-
-    Attributes:
-        converged: whether all criteria hold at u.
-        reason: PETSc's name for why it stopped, or the law's message.
-        iterations: of SNES.
-        evaluations: of the law, those for the first guess included.
-        residual: FNORM/RNORM at u.
-    """
-
-    converged: bool
-    reason: str
-    iterations: int
-    evaluations: int
-    residual: float
 
 
 @dataclass(frozen=True)
@@ -115,6 +61,7 @@ class Problem:
         operator: the external operator in the forms.
         motion: moves the mesh, and holds the total displacement.
         convergence: the criteria.
+        forecast: what the increments so far say of the next one.
         viscosity: adds viscous forces, see :mod:`femxdem_fenicsx.fem.path_following`; None for
             none.
         control: makes the load an unknown, see :mod:`femxdem_fenicsx.fem.indirect_control`.
@@ -171,9 +118,8 @@ class Problem:
         self._best: _Evaluated | None = None
         self._astray = ""
         self._failure: Exception | None = None
-        self._last_step: tuple[float, np.ndarray] | None = None
         self._size = self._x.local_size
-        self._change, self._goes_on = np.zeros(self._size), False
+        self.forecast = Forecast(u, self._size, self._norms)
         self.first_guess = first_guess
         self._last_forces: PETSc.Vec | None = None
         self.viscosity: Viscosity | None = None
@@ -250,8 +196,7 @@ class Problem:
         self.work, self.lost_work = self._works()
         self.motion.move()
         if guides:
-            self._note_trend(step)
-            self._last_step = (step, self.u.x.array[: self._size].copy())
+            self.forecast.note(step, self.u.x.array[: self._size])
         self._last_forces = self._forces.copy()
         self._learnt.keep()
         self.u.x.array[:] = 0.0
@@ -276,12 +221,6 @@ class Problem:
         self.forget()
         self._learnt.keep()
         return self._matrix.copy()
-
-    @property
-    def last_step(self) -> tuple[float, np.ndarray] | None:
-        """Size and displacement (owned dofs) of the last accepted step that guides; None at first.
-        """
-        return self._last_step
 
     def deformation_gradient(self, increment: np.ndarray) -> np.ndarray:
         """(n, d, d), of an increment from here, owned dofs. Between two steps alone."""
@@ -359,29 +298,18 @@ class Problem:
         steps alone: u is used for it, and is zero again afterwards.
         """
         owned = slice(_dolfinx.number_of_cells(self._mesh)[0])
-        step, increment = self._last_step or (0.0, np.zeros(self._size))
-        group["increment"] = cell_rows(self.u, increment)[owned]
-        group["step"] = np.full(owned.stop, step)
-        group["change"] = cell_rows(self.u, self._change)[owned]
-        group["change_goes_on"] = np.full(owned.stop, self._goes_on)
+        self.forecast.save(group, owned)
         group["displacement"] = _dolfinx.cell_values(self.motion.displacement)[owned]
         group["geometry"] = self._mesh.geometry.x[_dolfinx.geometry_dofmap(self._mesh)][owned]
-        if self._last_step is not None and self._last_forces is not None:
+        if self.forecast.known and self._last_forces is not None:
             group["forces"] = cell_rows(self.u, self._last_forces.array_r)[owned]
         self._learnt.save(group)
 
     def load(self, group: h5py.Group) -> None:
         """Read back what `save` wrote: a row per cell of this rank, ghosts included."""
-        increment = from_cell_rows(self.u, group["increment"][()])
-        step = float(group["step"][0]) if len(group["step"]) else 0.0
-        step = self._comm.allreduce(step, MPI.MAX)
-        self._last_step = (step, increment) if step > 0 else None
+        self.forecast.load(group, self._comm)
         self._last_forces = None
-        if "change" in group:  # not in the first format
-            self._change = from_cell_rows(self.u, group["change"][()])
-            goes_on = bool(group["change_goes_on"][()].any())
-            self._goes_on = self._comm.allreduce(goes_on, MPI.LOR)
-        if "forces" in group:  # neither
+        if "forces" in group:  # not in the first format
             self._last_forces = self._forces.duplicate()
             self._last_forces.array[:] = from_cell_rows(self.u, group["forces"][()])
         self._learnt.load(group)
@@ -402,28 +330,12 @@ class Problem:
     # ---- first guess ----------------------------------------------------------------------------
 
     def _first_guess(self, step: float) -> np.ndarray:
-        if self._last_step is None or self.first_guess == "tangent":
-            guess = self._linear_response()
+        if self.forecast.known and self.first_guess == "increment":
+            guess = self.forecast.increment(step) - self._left_over()
         else:
-            last, increment = self._last_step
-            guess = step / last * increment - self._left_over()
-            if self._goes_on:
-                guess += step * self._change
+            guess = self._linear_response()
         guess[self._constrained] = self._values
         return guess
-
-    def _note_trend(self, step: float) -> None:
-        """How the increment per unit of load has changed, and whether that foretells anything.
-
-        It is taken to go on where the change before it would have foretold this step clearly better
-        than no change: up to the peak it does, behind it the grains rearrange.
-        """
-        if self._last_step is None:
-            return
-        last, increment = self._last_step
-        change = self.u.x.array[: self._size] / step - increment / last
-        constant, linear = self._norms(change, change - self._change)
-        self._change, self._goes_on = change, linear < CLEARLY * constant
 
     def _left_over(self) -> np.ndarray:
         """What the last step left out of balance, as a displacement, by the last Jacobian."""
@@ -439,7 +351,7 @@ class Problem:
         That is known from the end of the last step; before the first one, the law is evaluated.
         """
         self._set_u(np.zeros(self._size))
-        if self._last_step is None or self._last_forces is None:
+        if not self.forecast.known or self._last_forces is None:
             self._evaluate_at_u()
             self._last_forces = self._forces.copy()
         self._assemble_jacobian(self.snes, self._x, self._matrix, self._matrix)

@@ -7,9 +7,10 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 
 from ..collective import Interrupted
+from .convergence import Solution
 from .indirect_control import IndirectControl, largest
 from .path_following import Crossing, cross
-from .problem import Problem, Solution
+from .problem import Problem
 
 #: A step under indirect control is cut down to this share of the first one, and grows up to that.
 SMALLEST_CONTROL, LARGEST_CONTROL = 1 / 64, 4.0
@@ -260,8 +261,8 @@ def _smaller(
         return None
     if size > stepping.smallest * (1 + 1e-6):
         return replace(cut, step=max(size / 2, stepping.smallest))
-    if stepping.indirect and problem.last_step is not None:
-        last, increment = problem.last_step
+    if stepping.indirect and problem.forecast.known:
+        last, increment = problem.forecast.last
         first = largest(problem, increment) * stepping.smallest / last
         return replace(cut, control=first, first_control=first, lost_at=at.load)
     return None

@@ -9,9 +9,10 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from femxdem_fenicsx.double_stress import one_parameter
+from femxdem_fenicsx.fem.convergence import Convergence
 from femxdem_fenicsx.fem.elements import element
 from femxdem_fenicsx.fem.external_operator import ExternalOperator
-from femxdem_fenicsx.fem.problem import Convergence, Problem
+from femxdem_fenicsx.fem.problem import Problem
 from femxdem_fenicsx.fem.quadrature_points import QuadraturePoints
 from femxdem_fenicsx.law import Law
 from forms.first_gradient import FirstGradient

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from femxdem_fenicsx.dem.accuracy import PRESETS
-from femxdem_fenicsx.fem.problem import Convergence
+from femxdem_fenicsx.fem.convergence import Convergence
 from femxdem_fenicsx.fem.stepping import LoadStepping, walk
 from femxdem_fenicsx.homogenised_law import HomogenisedLaw
 from femxdem_fenicsx.law import NeoHookean

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from petsc4py import PETSc
 
+from femxdem_fenicsx.fem.convergence import Convergence
 from femxdem_fenicsx.fem.options import petsc_options as pass_on
-from femxdem_fenicsx.fem.problem import Convergence, Problem
+from femxdem_fenicsx.fem.problem import Problem
 from femxdem_fenicsx.law import InadmissibleDeformation, LinearElastic, NeoHookean
 from tests.fem.laws import Counting, Failing, Fragile, Noisy, NoStiffness, NoTangent, TooStiff
 from tests.fem.specimen import Specimen
@@ -75,7 +76,7 @@ def test_a_change_of_the_increment_that_goes_on_is_taken_along():
     problem._first_guess = lambda step: guesses.append(guess(step)) or guesses[-1].copy()
     for step in range(5):
         specimen.compress(0.02 * step, 0.02 * (step + 1))
-        change, goes_on = problem._change.copy(), problem._goes_on
+        change, goes_on = problem.forecast.change.copy(), problem.forecast.goes_on
         assert problem.solve().converged
         end = problem.u.x.array[: problem._size].copy()
         problem.accept()

@@ -7,9 +7,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.optimize import brentq
 
+from femxdem_fenicsx.fem.convergence import Convergence
 from femxdem_fenicsx.fem.elements import element
 from femxdem_fenicsx.fem.external_operator import ExternalOperator
-from femxdem_fenicsx.fem.problem import Convergence, Problem
+from femxdem_fenicsx.fem.problem import Problem
 from femxdem_fenicsx.fem.quadrature_points import QuadraturePoints
 from femxdem_fenicsx.law import LinearElastic, NeoHookean, elasticity
 from forms import first_gradient

@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.inf_sup import constant
 from femxdem_fenicsx.double_stress import mindlin, one_parameter
+from femxdem_fenicsx.fem.convergence import Convergence
 from femxdem_fenicsx.fem.elements import element
 from femxdem_fenicsx.fem.external_operator import ExternalOperator
-from femxdem_fenicsx.fem.problem import Convergence, Problem
+from femxdem_fenicsx.fem.problem import Problem
 from femxdem_fenicsx.fem.quadrature_points import QuadraturePoints
 from femxdem_fenicsx.law import LinearElastic, NeoHookean, elasticity
 from forms.second_gradient import SecondGradient
