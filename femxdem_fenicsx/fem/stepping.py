@@ -13,7 +13,7 @@ from .path_following import Crossing, cross
 from .problem import Problem
 
 #: A step under indirect control is cut down to this share of the first one, and grows up to that.
-SMALLEST_CONTROL, LARGEST_CONTROL = 1 / 64, 4.0
+SMALLEST_CONTROL, LARGEST_CONTROL = 1 / 64, 8.0
 
 
 @dataclass(frozen=True)
@@ -213,7 +213,9 @@ def walk(
         now, evaluations = time.perf_counter(), problem.operator.evaluations
         at = _behind(at, load, step, stepping)
         if at.load <= beginning:
-            lost = f"lost controllability at load {at.lost_at:.6g}: the path has led back to its start"
+            lost = (
+                f"lost controllability at load {at.lost_at:.6g}: the path has led back to its start"
+            )
         record = StepRecord(
             at.steps,
             at.load,
