@@ -22,8 +22,6 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from . import _dolfinx
-
 if TYPE_CHECKING:
     from .problem import Problem
 
