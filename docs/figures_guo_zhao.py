@@ -14,6 +14,8 @@ from matplotlib.figure import Figure
 
 from femxdem_fenicsx import plotting
 from femxdem_fenicsx.dem.loading import FAILED_CONTACTS_PER_GRAIN
+from femxdem_fenicsx.fem import _dolfinx
+from femxdem_fenicsx.fem.elements import element
 
 RUNS = RESULTS / "localisation"
 #: Folder of a run, its title.
@@ -23,8 +25,8 @@ MESHES = {
 }  # fmt: skip
 #: The mesh of Guo and Zhao's Fig. 15 and 17, and the axial strains of its fabric (Fig. 18).
 LOCAL, FABRIC = "10x15_Q4_2x2", (0.04, 0.048)
-#: Share of the cells that strains less than the cell that stands for: outside, edge, inside.
-PLACES = {"outside": 0.1, "edge": 0.75, "inside": 0.98}
+#: Cells that stand for what is outside the band, inside, and at the edge where points fail.
+PLACES = ("outside", "inside", "edge")
 FIELDS = ("deviatoric_strain", "void_ratio", "fabric_anisotropy")
 
 
@@ -69,11 +71,10 @@ def failed_points(name: str) -> tuple[np.ndarray, int]:
     with h5py.File(saved) as file:
         contacts, grains = file["law/outcome/contacts"][()], file["law/position"].shape[2]
         corners = file["problem/geometry"][:, :4, :2]
-    per_cell = len(contacts) // len(corners)
     failed = contacts < FAILED_CONTACTS_PER_GRAIN * grains
-    gauss = np.polynomial.legendre.leggauss(int(np.sqrt(per_cell)))[0]
-    pairs = np.array([(a, b) for b in gauss for a in gauss])
-    r, s = 0.5 * (1 + pairs.T)
+    kind, rule = name.split("_")[1:]
+    one = element(kind, rule)
+    r, s = _dolfinx.quadrature_rule(one.cell, one.quadrature_degree)[0].T
     shape = np.stack([(1 - r) * (1 - s), r * (1 - s), (1 - r) * s, r * s], axis=1)
     points = np.einsum("qk,cki->cqi", shape, corners).reshape(-1, 2)
     return points[failed], len(contacts)
@@ -81,26 +82,27 @@ def failed_points(name: str) -> tuple[np.ndarray, int]:
 
 def local_responses(steps: int) -> dict[str, np.ndarray]:
     """Strain, mean pressure, deviator, void ratio and fabric of three cells along the way."""
-    last = fields_of(LOCAL, -1)[1][:, 0]
-    order = last.argsort()
-    cells = [order[int(share * (len(order) - 1))] for share in PLACES.values()]
+    order = fields_of(LOCAL, -1)[1][:, 0].argsort()
+    with h5py.File(files(LOCAL)[-1]) as fields:
+        weakest = fields["coordination_number"][:, 0].argmin()
+    cells = [order[len(order) // 10], order[-len(order) // 50], weakest]
     histories = np.zeros((steps + 1, len(cells), 5))
     for step, path in enumerate(files(LOCAL)[: steps + 1]):
         with h5py.File(path) as fields:
-            stress = -fields["stress"][cells].reshape(-1, 3, 3)[:, :2, :2]
-            histories[step, :, 0] = fields["deviatoric_strain"][cells, 0]
+            stress = -fields["stress"][()][cells].reshape(-1, 3, 3)[:, :2, :2]
+            histories[step, :, 0] = fields["deviatoric_strain"][:, 0][cells]
             histories[step, :, 1] = 0.5 * np.trace(stress, axis1=1, axis2=2)
             half = 0.5 * (stress[:, 0, 0] - stress[:, 1, 1])
             histories[step, :, 2] = np.hypot(half, stress[:, 0, 1])
-            histories[step, :, 3] = fields["void_ratio"][cells, 0]
-            histories[step, :, 4] = fields["fabric_anisotropy"][cells, 0]
+            histories[step, :, 3] = fields["void_ratio"][:, 0][cells]
+            histories[step, :, 4] = fields["fabric_anisotropy"][:, 0][cells]
     return {"local": histories, "local_places": fields_of(LOCAL, -1)[0][cells].mean(1)}
 
 
 @matplotlib.rc_context(plotting.STYLE)
 def draw_guo_zhao() -> None:
     kept = np.load(FIGURES / "guo_zhao.npz")
-    figure = Figure((9.0, 7.0), layout="constrained")
+    figure = Figure((9.0, 6.2), layout="constrained")
     above, below = figure.subfigures(2, 1, height_ratios=[1, 1.25])
     left, *local = above.subplots(1, 4)
     for name, title in MESHES.items():
@@ -108,12 +110,14 @@ def draw_guo_zhao() -> None:
         left.plot(100 * strain, ratio, label=title)
     left.set(xlabel="axial strain (%)", ylabel="stress ratio", ylim=(1, 3))
     left.legend(fontsize="x-small")
-    names = ("deviator q (kPa)", "void ratio", "fabric anisotropy")
-    for axes, column, label in zip(local, (2, 3, 4), names, strict=True):
-        for k, place in enumerate(PLACES):
-            strain, values = kept["local"][:, k, 0], kept["local"][:, k, column]
-            axes.plot(100 * strain, values * (1e-3 if column == 2 else 1), lw=0.9, label=place)
-        axes.set(xlabel="$\\varepsilon_q$ (%)", ylabel=label)
+    for k, place in enumerate(PLACES):
+        strain, p, q, void_ratio, fabric = kept["local"][:, k].T
+        local[0].plot(p / 1e3, q / 1e3, lw=0.9, label=place)
+        local[1].plot(100 * strain, void_ratio, lw=0.9)
+        local[2].plot(100 * strain, fabric, lw=0.9)
+    local[0].set(xlabel="mean pressure p (kPa)", ylabel="deviator q (kPa)")
+    local[1].set(xlabel="$\\varepsilon_q$ (%)", ylabel="void ratio")
+    local[2].set(xlabel="$\\varepsilon_q$ (%)", ylabel="fabric anisotropy", ylim=(0, 0.7))
     local[0].legend(fontsize="x-small")
     _maps(below.subplots(1, 6), kept)
     figure.savefig(FIGURES / "guo_zhao.png", dpi=110)
