@@ -26,6 +26,7 @@ from femxdem_fenicsx.fem.output import on_first_rank, writable_folder  # noqa: E
 from femxdem_fenicsx.shear_band import measure  # noqa: E402
 
 PACKING = ROOT / "tests" / "data" / "yade" / "packing.h5"
+VOLUME = "volumetric_strain"
 #: (mesh, element, points, strain)
 QUICK = (((2, 4), "Q8", "2x2", 0.046), ((6, 10), "Q4", "2x2", 0.1))
 FULL = (
@@ -41,7 +42,7 @@ def main(comm: MPI.Comm) -> int:
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--output", type=Path, default=ROOT / "results" / "localisation")
     parser.add_argument("--formulation", default="small", help="Guo and Zhao's is small")
-    parser.add_argument("--path-following", default="none")
+    parser.add_argument("--path-following", default="indirect", help="where a path is lost")
     parser.add_argument("--friction-variability", type=float)
     args = script.parse(parser, comm)
     runs = [run(comm, args, *case) for case in (QUICK if args.quick else FULL)]
@@ -110,9 +111,19 @@ def figures(specimen, run) -> dict:
         "residual_kpa": rows[-1]["axial_stress_Pa"] / 1e3,
         "failed_points": rows[-1]["failed_points"],
         "mohr_coulomb_angle_deg": 45 + angle / 2,
+        "roscoe_angle_deg": 45 + dilation_angle(rows, peak["axial_strain"]) / 2,
+        "points": specimen.mesh.comm.allreduce(specimen.points.size),
         **band(specimen),
         "lost_controllability": outcome.lost_controllability,
     }
+
+
+def dilation_angle(rows: list[dict], peak: float) -> float:
+    """At the peak, degrees: sin psi = -(d e1 + d e3)/(d e1 - d e3), from half a percent around."""
+    near = [row for row in rows if abs(row["axial_strain"] - peak) < 5.1e-3]
+    axial, volumetric = ([row[name] for row in near] for name in ("axial_strain", VOLUME))
+    slope = np.polyfit(axial, volumetric, 1)[0]
+    return float(np.degrees(np.arcsin(slope / (2 + slope))))
 
 
 def band(specimen) -> dict:

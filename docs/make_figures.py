@@ -9,6 +9,7 @@ import argparse
 
 import figures_bands
 import figures_biaxial
+import figures_guo_zhao
 import figures_laboratory
 import figures_localisation
 import figures_operators
@@ -25,6 +26,7 @@ ALL = {
     **figures_softening.ALL,
     **figures_bands.ALL,
     **figures_localisation.ALL,
+    **figures_guo_zhao.ALL,
 }
 
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from .distribution import DistributedLaw
 
 #: What happens where the smallest step does not converge (docs/localisation.md).
-PATH_FOLLOWING = {"none": None, "crossing": Crossing()}
+PATH_FOLLOWING = {"none": {}, "crossing": {"crossing": Crossing()}, "indirect": {"indirect": True}}
 GRADIENTS = ("first", "second")
 
 #: What may change when a run is resumed: where it goes, how far, and how it is solved. The packing
@@ -347,5 +347,5 @@ def stepping_of(args: argparse.Namespace) -> LoadStepping:
     return LoadStepping(
         args.step,
         looser_limit=args.looser_tolerance,
-        crossing=PATH_FOLLOWING[args.path_following],
+        **PATH_FOLLOWING[args.path_following],
     )

@@ -239,6 +239,7 @@ def summary(specimen: Specimen, run: Run, seconds: float) -> dict[str, str]:
     angle = np.degrees(np.arcsin((peak["stress_ratio"] - 1) / (peak["stress_ratio"] + 1)))
     dem = comm.allreduce(tally.seconds + tally.tangent_seconds, MPI.MAX)
     crossings = f"{outcome.crossings} in {outcome.moves} moves"
+    controlled = {"steps under indirect control": f"{outcome.controlled}"}
     return {
         "peak stress ratio": f"{peak['stress_ratio']:.3f}",
         "peak friction angle": f"{angle:.1f} degrees",
@@ -251,6 +252,7 @@ def summary(specimen: Specimen, run: Run, seconds: float) -> dict[str, str]:
         "iterations": f"{outcome.iterations} ({outcome.evaluations} evaluations of the law)",
         "cut steps": f"{outcome.cuts}",
         **({"crossings to another equilibrium": crossings} if outcome.crossings else {}),
+        **(controlled if outcome.controlled else {}),
         "work lost out of balance": f"{outcome.lost_work / max(outcome.work, 1e-300):.2%}",
         "behind the peak": trust(run),
         **reached_by(specimen).table,

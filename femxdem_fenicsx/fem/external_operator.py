@@ -66,6 +66,10 @@ class ExternalOperator:
                 f"{self.points.size} in {d}D on this rank: make the law with points.size"
             )
 
+    def deformation_gradient(self) -> np.ndarray:
+        """Of the step, at u, (n, d, d)."""
+        return self.points.evaluate(self._F, self._shape[1:])
+
     def evaluate(self) -> None:
         """Bring `stress` up to date with u.
 
@@ -76,10 +80,10 @@ class ExternalOperator:
             Exception: what else the law raises, on all ranks.
         """
         comm = self.points.mesh.comm
-        F = self.points.evaluate(self._F, self._shape[1:])
+        F = self.deformation_gradient()
         together(comm, self._check, F)  # before the law: its ranks may exchange data
         stress = together(comm, self._evaluate, F)
-        self._set(self.stress, stress)
+        self.set_stress(stress)
 
     def _check(self, F: np.ndarray) -> None:
         if self.interrupted():
@@ -99,6 +103,15 @@ class ExternalOperator:
         if stress.shape != self._shape:
             raise TypeError(f"the law returned stress {stress.shape} instead of {self._shape}")
         return stress
+
+    def point_stress(self) -> np.ndarray:
+        """Values of `stress` at the points, (n, d, d), Pa."""
+        rows = self.stress.x.array.reshape(-1, self._block(self.stress))[self._rows]
+        return rows.reshape(self._shape)
+
+    def set_stress(self, values: np.ndarray) -> None:
+        """Let `stress` have the given values (n, d, d), Pa."""
+        self._set(self.stress, values)
 
     def evaluate_tangent(self) -> None:
         """Bring `tangent` up to date with the last trial of the law."""

@@ -22,7 +22,8 @@ class Forecast:
     clearly better than no change: up to the peak it does, behind it the grains rearrange.
 
     Attributes:
-        known: whether there is a last increment.
+        last: size and increment (owned dofs), m, of the last step; None before the first.
+        known: whether there is one.
         change: of the increment per unit of load, m, owned dofs.
         goes_on: whether it is taken along.
 
@@ -34,31 +35,31 @@ class Forecast:
 
     def __init__(self, u: fem.Function, size: int, norms: Callable[..., list[float]]):
         self._u, self._norms = u, norms
-        self._last: tuple[float, np.ndarray] | None = None
+        self.last: tuple[float, np.ndarray] | None = None
         self.change, self.goes_on = np.zeros(size), False
 
     @property
     def known(self) -> bool:
-        return self._last is not None
+        return self.last is not None
 
     def increment(self, step: float) -> np.ndarray:
         """Of the next step, (owned dofs,), m; `step` is its size on the load path."""
-        last, increment = self._last
+        last, increment = self.last
         forecast = step / last * increment
         return forecast + step * self.change if self.goes_on else forecast
 
     def note(self, step: float, increment: np.ndarray) -> None:
         """A step of size `step` has been accepted with this increment."""
-        if self._last is not None:
-            last, before = self._last
+        if self.last is not None:
+            last, before = self.last
             change = increment / step - before / last
             constant, linear = self._norms(change, change - self.change)
             self.change, self.goes_on = change, linear < CLEARLY * constant
-        self._last = (step, increment.copy())
+        self.last = (step, increment.copy())
 
     def save(self, group: h5py.Group, cells: slice) -> None:
         """Write it into an HDF5 group: a row per cell of `cells`."""
-        step, increment = self._last or (0.0, np.zeros_like(self.change))
+        step, increment = self.last or (0.0, np.zeros_like(self.change))
         group["increment"] = cell_rows(self._u, increment)[cells]
         group["step"] = np.full(cells.stop, step)
         group["change"] = cell_rows(self._u, self.change)[cells]
@@ -69,7 +70,7 @@ class Forecast:
         increment = from_cell_rows(self._u, group["increment"][()])
         step = float(group["step"][0]) if len(group["step"]) else 0.0
         step = comm.allreduce(step, MPI.MAX)
-        self._last = (step, increment) if step > 0 else None
+        self.last = (step, increment) if step > 0 else None
         if "change" in group:  # not in the first format
             self.change = from_cell_rows(self._u, group["change"][()])
             goes_on = bool(group["change_goes_on"][()].any())

@@ -19,6 +19,7 @@ from . import _dolfinx
 from .convergence import Convergence, Solution
 from .external_operator import ExternalOperator
 from .forecast import Forecast
+from .indirect_control import IndirectControl
 from .learnt import Learnt, cell_rows, from_cell_rows
 from .mesh_motion import MeshMotion
 from .options import PREFIX, set_from_options
@@ -63,6 +64,7 @@ class Problem:
         forecast: what the increments so far say of the next one.
         viscosity: adds viscous forces, see :mod:`femxdem_fenicsx.fem.path_following`; None for
             none.
+        control: makes the load an unknown, see :mod:`femxdem_fenicsx.fem.indirect_control`.
         work: of the reactions at constrained dofs in the last accepted step, J (per metre in 2D).
         lost_work: of what was out of balance there: so much more work did external forces and
             reactions than the stress has taken up.
@@ -121,6 +123,7 @@ class Problem:
         self.first_guess = first_guess
         self._last_forces: PETSc.Vec | None = None
         self.viscosity: Viscosity | None = None
+        self.control: IndirectControl | None = None
         self.work = self.lost_work = 0.0
         self.snes = self._create_snes(prefix)
         self._learnt = Learnt(self.snes, self._matrix, u)
@@ -155,7 +158,7 @@ class Problem:
         started = self.operator.evaluations
         self._now, self._astray = None, ""
         _, self._values = _dolfinx.prescribed(self._work, self.bcs)
-        self._x.array[:] = self._first_guess(step)
+        self._x.array[:] = self.control.guess if self.control else self._first_guess(step)
         self._now = self._before = self._best = None  # u = 0 was no iterate
         try:
             self.snes.solve(None, self._x)
@@ -217,6 +220,50 @@ class Problem:
         self.forget()
         self._learnt.keep()
         return self._matrix.copy()
+
+    def deformation_gradient(self, increment: np.ndarray) -> np.ndarray:
+        """(n, d, d), of an increment from here, owned dofs. Between two steps alone."""
+        self._set_u(increment)
+        F = self.operator.deformation_gradient()
+        self._set_u(np.zeros(self._size))
+        return F
+
+    def stress_at(self, increment: np.ndarray) -> np.ndarray:
+        """Cauchy stress (n, d, d), Pa, behind an increment, owned dofs; the law is evaluated."""
+        self._set_u(increment)
+        self._evaluate_at_u()
+        stress = self.operator.point_stress()
+        self._set_u(np.zeros(self._size))
+        return stress
+
+    def forces_of(self, stress: np.ndarray) -> PETSc.Vec:
+        """Internal nodal forces of a stress (n, d, d) alone, per Pa and m: a linear functional.
+
+        Times an increment it is the integral of stress : strain. Between two steps alone.
+        """
+        forces, held = [], self.operator.stress.x.array.copy()
+        for values in (stress, np.zeros_like(stress)):
+            self.operator.set_stress(values)
+            _dolfinx.assemble_vector(self._work, self._residual)
+            forces.append(self._work.copy())
+        self.operator.stress.x.array[:] = held
+        return forces[0] - forces[1]
+
+    def load_share(self) -> float:
+        """Share of the prescribed values that u has: 1 but under indirect control."""
+        u = self.u.x.array[self._constrained]
+        both = np.array([self._values @ u, self._values @ self._values])
+        reached, asked = self._comm.allreduce(both)
+        return float(reached / asked)
+
+    def response(self, ksp: PETSc.KSP) -> PETSc.Vec:
+        """To the prescribed values alone, by the last Jacobian, which `ksp` solves with."""
+        right, solution = self._work, self._x.duplicate()
+        right.set(0.0)
+        _dolfinx.lift(right, self._jacobian, self.bcs)
+        right.array[self._constrained] = self._values
+        ksp.solve(right, solution)
+        return solution
 
     def unbalance(self) -> float:
         """FNORM/RNORM at the last iterate without viscous forces."""
@@ -339,7 +386,10 @@ class Problem:
             self._failure = error
             raise
         f.array[:] = self._total_forces()
-        f.array[self._constrained] = x.array_r[self._constrained] - self._values
+        # under indirect control whatever load x has is right
+        f.array[self._constrained] = (
+            0.0 if self.control else x.array_r[self._constrained] - self._values
+        )
 
     def _assemble_jacobian(self, snes, x: PETSc.Vec, matrix: PETSc.Mat, preconditioner) -> None:
         try:

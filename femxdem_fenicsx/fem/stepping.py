@@ -8,8 +8,12 @@ from dataclasses import asdict, dataclass, replace
 
 from ..collective import Interrupted
 from .convergence import Solution
+from .indirect_control import IndirectControl, largest
 from .path_following import Crossing, cross
 from .problem import Problem
+
+#: A step under indirect control is cut down to this share of the first one, and grows up to that.
+SMALLEST_CONTROL, LARGEST_CONTROL = 1 / 64, 8.0
 
 
 @dataclass(frozen=True)
@@ -24,6 +28,8 @@ class LoadStepping:
         grow_after: converged steps in a row after which a cut step doubles.
         crossing: how the specimen may move to another equilibrium where the smallest step does
             not converge (see `path_following`); None: it may not.
+        indirect: whether the load becomes an unknown there (see `indirect_control`), until it has
+            risen again above where it was lost. It must be prescribed displacements alone.
 
     Raises:
         ValueError: sizes that are not positive or out of order.
@@ -34,6 +40,7 @@ class LoadStepping:
     looser_limit: float = 5e-2
     grow_after: int = 3
     crossing: Crossing | None = None
+    indirect: bool = False
 
     def __post_init__(self):
         if self.smallest is None:
@@ -53,7 +60,7 @@ class StepRecord:
     Attributes:
         number: of the step, from 1.
         load: at its end.
-        step: its size.
+        step: its size; negative where the load goes back under indirect control.
         iterations: of the solve that was accepted.
         evaluations: of the law since the step before, those of discarded tries included.
         residual: FNORM/RNORM.
@@ -95,6 +102,11 @@ class Position:
         crossings: steps at which the specimen moved to another equilibrium.
         moves: states committed on the way.
         work, lost_work: see `StepRecord`.
+        control: eps_q that the next step will be tried with under indirect control; 0: the load
+            is prescribed.
+        first_control: that of the first such step.
+        lost_at: load where it was lost.
+        controlled: steps under indirect control.
     """
 
     load: float = 0.0
@@ -109,6 +121,10 @@ class Position:
     moves: int = 0
     work: float = 0.0
     lost_work: float = 0.0
+    control: float = 0.0
+    first_control: float = 0.0
+    lost_at: float = 0.0
+    controlled: int = 0
 
 
 @dataclass(frozen=True)
@@ -150,10 +166,11 @@ def walk(
     """Walk the load from `start` to `end`.
 
     A step that does not converge is discarded, halved and tried again. Where the smallest one does
-    not converge, the specimen crosses over to another equilibrium, if it may. If it may not, the
-    best iterate is accepted under the looser limit; what is out of balance then stays in the
-    residual of the next step. Beyond that limit the path ends there. Asked to stop
-    (`Interrupted`), it ends behind the last accepted step.
+    not converge, the specimen crosses over to another equilibrium, or goes on under indirect
+    control, where steps are halved likewise, if it may. If not, the best iterate is accepted under
+    the looser limit; what is out of balance then stays in the residual of the next step. Beyond
+    that limit the path ends there. Asked to stop (`Interrupted`), it ends behind the last accepted
+    step. The last step under indirect control may lead beyond the end.
 
     Args:
         problem: solved step by step.
@@ -173,22 +190,19 @@ def walk(
     counted = problem.operator.evaluations
     clock = time.perf_counter()
     lost, interrupted = "", False
-    while at.load < end:
-        rest = end - at.load
-        size = rest if rest < at.step * (1 + 1e-6) else at.step
-        set_load(at.load, at.load + size)
+    beginning = 0.0 if isinstance(start, Position) else start
+    while at.load < end and not lost:
         try:
-            solution = problem.solve(size)
+            size, solution = _solve(problem, set_load, end, stepping, at)
         except Interrupted:  # tries that were rejected since `accepted` will be made again
             problem.reject()
             at, interrupted = accepted, True
             break
-        if not solution.converged and size > stepping.smallest * (1 + 1e-6):
+        if not solution.converged and (smaller := _smaller(problem, size, stepping, at)):
             problem.reject()
-            smaller = max(size / 2, stepping.smallest)
-            at = replace(at, step=smaller, in_a_row=0, cuts=at.cuts + 1)
+            at = smaller
             continue
-        load = end if size == rest else at.load + size
+        load = end if size == end - at.load else at.load + size
         if solution.converged or stepping.crossing is None:
             step = _accept(problem, size, solution, stepping.looser_limit)
         else:
@@ -198,6 +212,10 @@ def walk(
             break
         now, evaluations = time.perf_counter(), problem.operator.evaluations
         at = _behind(at, load, step, stepping)
+        if at.load <= beginning:
+            lost = (
+                f"lost controllability at load {at.lost_at:.6g}: the path has led back to its start"
+            )
         record = StepRecord(
             at.steps,
             at.load,
@@ -221,12 +239,43 @@ def walk(
     return Outcome(**ended, lost_controllability=lost, interrupted=interrupted)
 
 
+def _solve(problem: Problem, set_load, end: float, stepping: LoadStepping, at: Position):
+    """Try the next step; the increment of the load, and how the solve ended."""
+    if not at.control:
+        rest = end - at.load
+        size = rest if rest < at.step * (1 + 1e-6) else at.step
+        set_load(at.load, at.load + size)
+        return size, problem.solve(size)
+    set_load(at.load, at.load + stepping.step)
+    with IndirectControl(problem, at.control):
+        solution = problem.solve(stepping.step)
+    return stepping.step * problem.load_share(), solution
+
+
+def _smaller(
+    problem: Problem, size: float, stepping: LoadStepping, at: Position
+) -> Position | None:
+    """Where to try again what has not converged: with a cut step; None where there is none."""
+    cut = replace(at, in_a_row=0, cuts=at.cuts + 1)
+    if at.control > SMALLEST_CONTROL * at.first_control:
+        return replace(cut, control=at.control / 2)
+    if at.control:
+        return None
+    if size > stepping.smallest * (1 + 1e-6):
+        return replace(cut, step=max(size / 2, stepping.smallest))
+    if stepping.indirect and problem.forecast.known:
+        last, increment = problem.forecast.last
+        first = largest(problem, increment) * stepping.smallest / last
+        return replace(cut, control=first, first_control=first, lost_at=at.load)
+    return None
+
+
 def _accept(problem: Problem, size: float, solution: Solution, limit: float) -> _Step:
     """Commit what the solve ended with, if it is in balance to the limit."""
     if not (solution.converged or solution.residual <= limit):
         problem.reject()
         return _Step(reason=f"ends with FNORM/RNORM = {solution.residual:.2e} ({solution.reason})")
-    problem.accept(size)
+    problem.accept(abs(size) or 1.0)  # the load may stand still under indirect control
     return _Step(
         solution.iterations,
         solution.residual,
@@ -261,13 +310,23 @@ def _cross(
 def _behind(at: Position, load: float, ended: _Step, stepping: LoadStepping) -> Position:
     """The position behind an accepted step that ends at `load`; a cut step may grow again."""
     in_a_row = at.in_a_row + 1 if ended.converged else 0
-    step = at.step
-    if in_a_row >= stepping.grow_after and step < stepping.step:
+    step, control, size = at.step, at.control, load - at.load
+    grows = in_a_row >= stepping.grow_after
+    if control and grows and size > 0 and load > at.lost_at:
+        control, in_a_row = 0.0, 0
+    elif control:
+        longest = LARGEST_CONTROL * at.first_control
+        in_load = control * stepping.step / max(abs(size), 1e-300)
+        control = min(control * (2 if grows else 1), longest, in_load)
+        in_a_row = 0 if grows else in_a_row
+    elif grows and step < stepping.step:
         step, in_a_row = min(2 * step, stepping.step), 0
     return replace(
         at,
         load=load,
         step=step,
+        control=control,
+        controlled=at.controlled + (at.control > 0),
         in_a_row=in_a_row,
         steps=at.steps + 1,
         not_converged=at.not_converged + (not ended.converged),

@@ -299,7 +299,10 @@ BAD_INPUT = {
         "elements 0 to 71",
     ),
     "weak element of no weakness": (("--weak-element", "2"), "needs --friction-variability"),
-    "unknown path following": (("--path-following", "luck"), "choose from none, crossing"),
+    "unknown path following": (
+        ("--path-following", "luck"),
+        "choose from none, crossing, indirect",
+    ),
     "deep dents": (("--imperfection", "0.3"), "--imperfection 0.3"),
     "zero tolerance": (("--tolerance", "0"), ""),
     "no threads": (("--threads", "0"), "threads"),

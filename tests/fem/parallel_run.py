@@ -61,6 +61,7 @@ def numbers() -> dict:
             squares = sum((state.values**2).sum() for state in specimen.operator.states)
             found[case].append(COMM.allreduce(float(squares)))
     found["crossing"] = crossing()
+    found["indirect"] = indirect()
     return found
 
 
@@ -71,6 +72,20 @@ def crossing() -> list[float]:
     outcome = walk(specimen.problem, specimen.compress, 1.2 * PEAK, stepping)
     works = outcome.work, outcome.lost_work
     return [specimen.top_force(), *works, outcome.crossings, outcome.moves, outcome.evaluations]
+
+
+def indirect() -> list[float]:
+    """The same bar, its snap-back followed in equilibrium."""
+    specimen = bar(cells=(2, 3))
+    stepping = LoadStepping(0.13 * K0, looser_limit=0.0, indirect=True)
+    outcome = walk(specimen.problem, specimen.compress, 1.2 * PEAK, stepping)
+    return [
+        specimen.top_force(),
+        outcome.work,
+        outcome.controlled,
+        outcome.steps,
+        outcome.evaluations,
+    ]
 
 
 def fail(error: Exception) -> None:

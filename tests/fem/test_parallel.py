@@ -15,7 +15,8 @@ def test_one_and_two_ranks_give_the_same_numbers():
     one, two = json.loads(one.stdout), json.loads(two.stdout)
     assert one.keys() == two.keys()
     for case, numbers in one.items():
-        tolerance = 1e-8 if case == "crossing" else 1e-12  # an unstable motion amplifies rounding
+        # an unstable motion amplifies rounding, and so does a load that hardly changes
+        tolerance = {"crossing": 1e-8, "indirect": 1e-10}.get(case, 1e-12)
         np.testing.assert_allclose(two[case], numbers, rtol=tolerance, err_msg=case)
 
 
