@@ -52,7 +52,7 @@ def main(comm: MPI.Comm) -> int:
         help="these instead, as 32:10 or 16:first",
     )
     parser.add_argument("--accuracy", help="(default: balanced, quick fast)")
-    parser.add_argument("--path-following", default="none", help="none, crossing")
+    parser.add_argument("--path-following", default="none", help="none, crossing or indirect")
     parser.add_argument("--output", type=Path, help="folder of runs  (default: results/...)")
     args = script.parse(parser, comm)
     grains = args.grains or (100 if args.quick else 400)
@@ -157,7 +157,7 @@ def compress(comm: MPI.Comm, words: list[str]) -> tuple[dict, int]:
         args.step,
         args.step / 16,
         args.looser_tolerance,
-        crossing=arguments.PATH_FOLLOWING[args.path_following],
+        **arguments.PATH_FOLLOWING[args.path_following],
     )
     saving = arguments.saving_of(args, law)
     run = follow(scene, args.strain, stepping, args.output / "biaxial", True, saving)
