@@ -1,8 +1,9 @@
 """What docs/localisation.md shows beside Guo and Zhao's section 4: curves, bands, local responses.
 
-The runs are those of `benchmarks/localisation.py`, which take an hour and are kept in
-results/localisation. Where they are, `run_guo_zhao` takes over what is drawn; where they are not,
-what was kept before is drawn.
+The runs are those of `benchmarks/localisation.py`, which take hours and are kept in
+results/localisation; 12 x 20 elements with `--friction-variability 0.05 --output
+results/localisation_varied`. Where they are, `run_guo_zhao` takes over what is drawn; where they
+are not, what was kept before is drawn.
 """
 
 import h5py
@@ -17,26 +18,27 @@ from femxdem_fenicsx.dem.loading import FAILED_CONTACTS_PER_GRAIN
 from femxdem_fenicsx.fem import _dolfinx
 from femxdem_fenicsx.fem.elements import element
 
-RUNS = RESULTS / "localisation"
 #: Folder of a run, its title.
 MESHES = {
-    "6x10_Q4_2x2": "6 x 10 Q4", "10x15_Q4_2x2": "10 x 15 Q4", "12x20_Q4_2x2": "12 x 20 Q4",
-    "6x10_Q8_3x3": "6 x 10 Q8, 3 x 3",
+    "localisation/6x10_Q4_2x2": "6 x 10 Q4", "localisation/10x15_Q4_2x2": "10 x 15 Q4",
+    "localisation_varied/12x20_Q4_2x2": "12 x 20 Q4, friction varies",
+    "localisation/6x10_Q8_3x3": "6 x 10 Q8, 3 x 3",
 }  # fmt: skip
+FINEST, QUADRATIC = "localisation_varied/12x20_Q4_2x2", "localisation/6x10_Q8_3x3"
 #: The mesh of Guo and Zhao's Fig. 15 and 17, and the axial strains of its fabric (Fig. 18).
-LOCAL, FABRIC = "10x15_Q4_2x2", (0.04, 0.048)
+LOCAL, FABRIC = "localisation/10x15_Q4_2x2", (0.04, 0.048)
 #: Cells that stand for what is outside the band, inside, and at the edge where points fail.
 PLACES = ("outside", "inside", "edge")
 FIELDS = ("deviatoric_strain", "void_ratio", "fabric_anisotropy")
 
 
 def run_guo_zhao() -> None:
-    if not all((RUNS / name / "history.csv").exists() for name in MESHES):
-        print("drawn as kept: benchmarks/localisation.py computes the runs anew, in an hour")
+    if not all((RESULTS / name / "history.csv").exists() for name in MESHES):
+        print("drawn as kept: benchmarks/localisation.py computes the runs anew, in hours")
         return
     kept = {}
     for name in MESHES:
-        rows = np.genfromtxt(RUNS / name / "history.csv", delimiter=",", names=True)
+        rows = np.genfromtxt(RESULTS / name / "history.csv", delimiter=",", names=True)
         columns = ("axial_strain", "stress_ratio", "volumetric_strain", "failed_points")
         kept[f"{name}/history"] = np.column_stack([rows[column] for column in columns])
         kept[f"{name}/corners"], fields = fields_of(name, -1)
@@ -54,12 +56,12 @@ def run_guo_zhao() -> None:
 
 
 def files(name: str) -> list:
-    return sorted((RUNS / name / "biaxial_fields").glob("0*.h5"))
+    return sorted((RESULTS / name / "biaxial_fields").glob("0*.h5"))
 
 
 def fields_of(name: str, step: int) -> tuple[np.ndarray, np.ndarray]:
     """Corners of the deformed cells (c, 4, 2) and `FIELDS` (c, 3) behind a step; -1: the last."""
-    mesh = RUNS / name / "biaxial_fields" / "mesh.h5"
+    mesh = RESULTS / name / "biaxial_fields" / "mesh.h5"
     with h5py.File(mesh) as mesh, h5py.File(files(name)[step]) as fields:
         x = mesh["geometry"][:, :2] + fields["displacement"][:, :2]
         return x[mesh["topology"][:, :4]], np.stack([fields[f][:, 0] for f in FIELDS], axis=1)
@@ -67,12 +69,12 @@ def fields_of(name: str, step: int) -> tuple[np.ndarray, np.ndarray]:
 
 def failed_points(name: str) -> tuple[np.ndarray, int]:
     """Places of the points that carry no load at the end (n, 2), and how many points there are."""
-    saved = max((RUNS / name / "checkpoint").glob("step_*")) / "rank_0000.h5"
+    saved = max((RESULTS / name / "checkpoint").glob("step_*")) / "rank_0000.h5"
     with h5py.File(saved) as file:
         contacts, grains = file["law/outcome/contacts"][()], file["law/position"].shape[2]
         corners = file["problem/geometry"][:, :4, :2]
     failed = contacts < FAILED_CONTACTS_PER_GRAIN * grains
-    kind, rule = name.split("_")[1:]
+    kind, rule = name.split("/")[1].split("_")[1:]
     one = element(kind, rule)
     r, s = _dolfinx.quadrature_rule(one.cell, one.quadrature_degree)[0].T
     shape = np.stack([(1 - r) * (1 - s), r * (1 - s), (1 - r) * s, r * s], axis=1)
@@ -125,8 +127,8 @@ def draw_guo_zhao() -> None:
 
 def _maps(axes, kept) -> None:
     corners, end = kept[f"{LOCAL}/corners"], kept[f"{LOCAL}/end"]
-    fine, finest = kept["12x20_Q4_2x2/corners"], kept["12x20_Q4_2x2/end"]
-    q8, strain = kept["6x10_Q8_3x3/corners"], kept["6x10_Q8_3x3/end"]
+    fine, finest = kept[f"{FINEST}/corners"], kept[f"{FINEST}/end"]
+    q8, strain = kept[f"{QUADRATIC}/corners"], kept[f"{QUADRATIC}/end"]
     panels = [
         (corners, end[:, 0], "10 x 15\n$\\varepsilon_q$"),
         (corners, end[:, 1], "10 x 15\nvoid ratio"),
@@ -134,7 +136,7 @@ def _maps(axes, kept) -> None:
             (kept[f"fabric_{s}/corners"], kept[f"fabric_{s}"], f"10 x 15, {100 * s:.1f} %\nfabric")
             for s in FABRIC
         ],
-        (fine, finest[:, 0], "12 x 20\n$\\varepsilon_q$"),
+        (fine, finest[:, 0], "12 x 20, varied\n$\\varepsilon_q$"),
         (q8, strain[:, 0], "6 x 10 Q8\n$\\varepsilon_q$"),
     ]
     for one, (cells, values, title) in zip(axes, panels, strict=True):
