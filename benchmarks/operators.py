@@ -173,6 +173,8 @@ def run(study: Study, name: str) -> dict:
         computed = process_time()
         done = load(specimen, STRAIN, stepping, Path(folder) / "run", quiet=True)
         computed = process_time() - computed
+    if done.signal:  # half a run is not kept
+        raise SystemExit(script.SIGNALLED + done.signal)
     perturbed = np.diff([0.0, *counts])
     return {
         "operator": args.operator,
