@@ -2,14 +2,17 @@
 
 Prints one JSON object as its last line. `--quick`: 2 x 4 Q8 to 4.6 %, where the run of escript +
 YADE ends (`tests/data/yade/steps_2x4.csv`), and 6 x 10 Q4 to 10 %. Otherwise Guo and Zhao's meshes
-too, Q8 with their 3 x 3 points. Each run keeps its checkpoints and its result in a folder below
-`--output`: started again, the benchmark goes on where it was stopped.
+too, Q8 with their 3 x 3 points; 12 x 20 Q4 and 6 x 10 Q8 with friction varied a little, as nothing
+prefers a band where all is even (docs/localisation.md). `--runs` chooses some by their names. Each
+run keeps its checkpoints and its result in a folder below `--output`: started again, the benchmark
+goes on where it was stopped.
 """
 
 import argparse
 import json
 import os
 import sys
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,13 +30,28 @@ from femxdem_fenicsx.shear_band import measure  # noqa: E402
 
 PACKING = ROOT / "tests" / "data" / "yade" / "packing.h5"
 VOLUME = "volumetric_strain"
-#: (mesh, element, points, strain)
-QUICK = (((2, 4), "Q8", "2x2", 0.046), ((6, 10), "Q4", "2x2", 0.1))
+
+
+@dataclass(frozen=True)
+class Case:
+    mesh: tuple[int, int]
+    element: str
+    points: str
+    strain: float
+    friction_variability: float = 0.0
+
+    @property
+    def name(self) -> str:
+        varied = f"_varied_{self.friction_variability:g}" if self.friction_variability else ""
+        return f"{self.mesh[0]}x{self.mesh[1]}_{self.element}_{self.points}{varied}"
+
+
+QUICK = (Case((2, 4), "Q8", "2x2", 0.046), Case((6, 10), "Q4", "2x2", 0.1))
 FULL = (
     *QUICK,
-    ((10, 15), "Q4", "2x2", 0.1),
-    ((12, 20), "Q4", "2x2", 0.1),
-    ((6, 10), "Q8", "3x3", 0.1),
+    Case((10, 15), "Q4", "2x2", 0.1),
+    Case((12, 20), "Q4", "2x2", 0.1, 0.05),
+    Case((6, 10), "Q8", "3x3", 0.1, 0.05),
 )
 
 
@@ -43,9 +61,10 @@ def main(comm: MPI.Comm) -> int:
     parser.add_argument("--output", type=Path, default=ROOT / "results" / "localisation")
     parser.add_argument("--formulation", default="small", help="Guo and Zhao's is small")
     parser.add_argument("--path-following", default="indirect", help="where a path is lost")
-    parser.add_argument("--friction-variability", type=float)
+    parser.add_argument("--friction-variability", type=float, help="in place of each run's own")
+    parser.add_argument("--runs", nargs="+", help="their names, as 6x10_Q4_2x2")
     args = script.parse(parser, comm)
-    runs = [run(comm, args, *case) for case in (QUICK if args.quick else FULL)]
+    runs = [run(comm, args, case) for case in chosen(args)]
     good = all(
         one["nonconverged_steps"] <= (1 - BALANCED_STEPS) * one["steps"]
         and one["worst_residual"] <= WORST_RESIDUAL
@@ -58,35 +77,45 @@ def main(comm: MPI.Comm) -> int:
     return 0
 
 
-def run(comm: MPI.Comm, args, mesh, element: str, points: str, strain: float) -> dict:
+def chosen(args) -> list[Case]:
+    """The runs that are asked for. ValueError: none has that name."""
+    cases = QUICK if args.quick else FULL
+    if args.friction_variability is not None:
+        cases = [replace(case, friction_variability=args.friction_variability) for case in cases]
+    names = [case.name for case in cases]
+    if unknown := set(args.runs or ()) - set(names):
+        raise ValueError(f"--runs {' '.join(sorted(unknown))}: choose from {', '.join(names)}")
+    return [case for case in cases if args.runs is None or case.name in args.runs]
+
+
+def run(comm: MPI.Comm, args, case: Case) -> dict:
     """One mesh: its result, from its folder where it was computed before."""
-    name = f"{mesh[0]}x{mesh[1]}_{element}_{points}"
-    folder = writable_folder(comm, args.output / name)
+    folder = writable_folder(comm, args.output / case.name)
     if comm.bcast((folder / "result.json").exists()):
         return json.loads((folder / "result.json").read_text())
     options = {
         "--packing": PACKING,
-        "--element": element,
-        "--points": points,
-        "--strain": strain,
+        "--element": case.element,
+        "--points": case.points,
+        "--strain": case.strain,
         "--formulation": args.formulation,
         "--path-following": args.path_following,
         "--output": folder,
     }
-    if args.friction_variability is not None:
-        options["--friction-variability"] = args.friction_variability
+    if case.friction_variability:
+        options["--friction-variability"] = case.friction_variability
     words = [str(word) for option in options.items() for word in option]
     if comm.bcast(any((folder / "checkpoint").glob("step_*"))):
         words.append("--resume")
     parser = biaxial.arguments()
-    scene = parser.parse_args([*words, "--mesh", *map(str, mesh), "--quiet"])
+    scene = parser.parse_args([*words, "--mesh", *map(str, case.mesh), "--quiet"])
     scene.defaults = {action.dest: action.default for action in parser._actions}
     specimen = biaxial.specimen_for(scene, packing_for(scene, comm, scene.dim), comm)
     walked = biaxial.compress(specimen, scene)
     if walked.signal:
         raise SystemExit(script.SIGNALLED + walked.signal)
-    result = {"mesh": list(mesh), "element": element, "points": points, "gradient": "first"}
-    result |= {"strain_asked": strain} | figures(specimen, walked)
+    result = asdict(case) | {"gradient": "first", "strain_asked": case.strain}
+    result |= figures(specimen, walked)
     on_first_rank(comm, (folder / "result.json").write_text, json.dumps(result))
     return result
 

@@ -81,10 +81,10 @@ def main(comm: MPI.Comm) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     mesh = (2, 4) if quick else (8, 16)
     study = Study(prepared(folder), mesh, quick, folder, args.threads, names)
-    states = kept(folder / "states.json", lambda: at_two_states(study))
     runs = {
         name: kept(folder / f"{name}.json", lambda n=name: run(study, n)) for name in study.names
     }
+    states = kept(folder / "states.json", lambda: at_two_states(study))
     result = summary(study, states, runs)
     print(table(result))
     print(json.dumps(result))
@@ -270,8 +270,9 @@ def study_state(study, specimen, operators, strain, spectra: bool) -> dict:
         problem.solve(STEP)
         problem.snes.cancelMonitor()
         result["curves"][name] = ratios
-        if best is None or min(ratios) < best[0]:
-            best = min(ratios), problem.u.x.array.copy()
+        reached = min(ratios, default=np.inf)  # none where already the linear response goes astray
+        if best is None or reached < best[0]:
+            best = reached, problem.u.x.array.copy()
         law.discard()
     problem.u.x.array[:] = best[1]
     problem._evaluate_at_u()

@@ -11,21 +11,26 @@ from mpi4py import MPI
 
 from .learnt import cell_rows, from_cell_rows
 
-#: A change of the increment goes on if its error as a forecast was this share of that of none.
+#: Behind the peak, a change goes on if its error as a forecast was this share of that of none.
 CLEARLY = 0.7
+#: Before it, no less than this share of a change goes on.
+LEAST_SHARE = 0.5
 
 
 class Forecast:
-    """The last increment per unit of load, and its change from the one before.
+    """The last increment per unit of load, and a share of its change from the one before.
 
-    The change is taken to go on where the change before it would have foretold the last step
-    clearly better than no change: up to the peak it does, behind it the grains rearrange.
+    While the reactions are larger than ever, up to the peak, it is the share of the change before
+    that would have foretold the last change best, in the sense of least squares, but no less than
+    half. Behind the peak the grains rearrange; the change is then taken along where the one before
+    would have foretold the last step clearly better than no change.
 
     Attributes:
         last: size and increment (owned dofs), m, of the last step; None before the first.
         known: whether there is one.
         change: of the increment per unit of load, m, owned dofs.
-        goes_on: whether it is taken along.
+        share: of it that is taken along.
+        largest_reactions: RNORM, the largest of all steps so far, N.
 
     Args:
         u: displacement of the step; lends its space, and its values for a moment.
@@ -36,7 +41,8 @@ class Forecast:
     def __init__(self, u: fem.Function, size: int, norms: Callable[..., list[float]]):
         self._u, self._norms = u, norms
         self.last: tuple[float, np.ndarray] | None = None
-        self.change, self.goes_on = np.zeros(size), False
+        self.change, self.share = np.zeros(size), 0.0
+        self.largest_reactions = 0.0
 
     @property
     def known(self) -> bool:
@@ -46,16 +52,28 @@ class Forecast:
         """Of the next step, (owned dofs,), m; `step` is its size on the load path."""
         last, increment = self.last
         forecast = step / last * increment
-        return forecast + step * self.change if self.goes_on else forecast
+        return forecast + step * self.share * self.change if self.share else forecast
 
-    def note(self, step: float, increment: np.ndarray) -> None:
-        """A step of size `step` has been accepted with this increment."""
+    def note(self, step: float, increment: np.ndarray, reactions: float) -> None:
+        """A step of size `step` has been accepted with this increment, m, and this RNORM, N."""
+        before_the_peak = reactions > self.largest_reactions
+        self.largest_reactions = max(reactions, self.largest_reactions)
         if self.last is not None:
             last, before = self.last
             change = increment / step - before / last
-            constant, linear = self._norms(change, change - self.change)
-            self.change, self.goes_on = change, linear < CLEARLY * constant
+            self.share = self._share(change, before_the_peak)
+            self.change = change
         self.last = (step, increment.copy())
+
+    def _share(self, change: np.ndarray, before_the_peak: bool) -> float:
+        """Of this change, that is taken along in the next step."""
+        new, old, error = self._norms(change, self.change, change - self.change)
+        if not before_the_peak:
+            return float(error < CLEARLY * new)
+        if old == 0.0:
+            return 1.0
+        best = (new**2 + old**2 - error**2) / (2 * old**2)  # change . old / old . old
+        return min(max(best, LEAST_SHARE), 1.0)
 
     def save(self, group: h5py.Group, cells: slice) -> None:
         """Write it into an HDF5 group: a row per cell of `cells`."""
@@ -63,15 +81,23 @@ class Forecast:
         group["increment"] = cell_rows(self._u, increment)[cells]
         group["step"] = np.full(cells.stop, step)
         group["change"] = cell_rows(self._u, self.change)[cells]
-        group["change_goes_on"] = np.full(cells.stop, self.goes_on)
+        group["share_of_change"] = np.full(cells.stop, self.share)
+        group["largest_reactions"] = np.full(cells.stop, self.largest_reactions)
 
     def load(self, group: h5py.Group, comm: MPI.Comm) -> None:
-        """Read back what `save` wrote: a row per cell of this rank, ghosts included."""
-        increment = from_cell_rows(self._u, group["increment"][()])
-        step = float(group["step"][0]) if len(group["step"]) else 0.0
-        step = comm.allreduce(step, MPI.MAX)
+        """Read back what `save` wrote: a row per cell of this rank, ghosts included.
+
+        A file of the first format has no change; of that, the first program to write the second
+        kept whether it goes on.
+        """
+
+        def number(name: str) -> float:  # a rank may have no cells
+            return comm.allreduce(float(group[name][()].max(initial=0.0)), MPI.MAX)
+
+        increment, step = from_cell_rows(self._u, group["increment"][()]), number("step")
         self.last = (step, increment) if step > 0 else None
-        if "change" in group:  # not in the first format
+        if "change" in group:
             self.change = from_cell_rows(self._u, group["change"][()])
-            goes_on = bool(group["change_goes_on"][()].any())
-            self.goes_on = comm.allreduce(goes_on, MPI.LOR)
+            older = "change_goes_on" in group
+            self.share = number("change_goes_on" if older else "share_of_change")
+            self.largest_reactions = 0.0 if older else number("largest_reactions")

@@ -195,7 +195,7 @@ class Problem:
         self.work, self.lost_work = self._works()
         self.motion.move()
         if guides:
-            self.forecast.note(step, self.u.x.array[: self._size])
+            self.forecast.note(step, self.u.x.array[: self._size], self._now.reactions)
         self._last_forces = self._forces.copy()
         self._learnt.keep()
         self.u.x.array[:] = 0.0

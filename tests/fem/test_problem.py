@@ -76,14 +76,31 @@ def test_a_change_of_the_increment_that_goes_on_is_taken_along():
     problem._first_guess = lambda step: guesses.append(guess(step)) or guesses[-1].copy()
     for step in range(5):
         specimen.compress(0.02 * step, 0.02 * (step + 1))
-        change, goes_on = problem.forecast.change.copy(), problem.forecast.goes_on
+        change, share = problem.forecast.change.copy(), problem.forecast.share
         assert problem.solve().converged
         end = problem.u.x.array[: problem._size].copy()
         problem.accept()
-    assert goes_on and not np.allclose(change, 0.0)
+    assert share >= 0.5 and not np.allclose(change, 0.0)
     off = np.linalg.norm(guesses[-1] - end)
     change[problem._constrained] = 0.0  # prescribed, whatever the guess
-    assert off < 0.5 * np.linalg.norm(guesses[-1] - change - end)
+    assert off < 0.5 * np.linalg.norm(guesses[-1] - share * change - end)
+
+
+def test_a_change_is_taken_along_by_the_share_that_foretold_the_last_one_up_to_the_peak_alone():
+    forecast = counting().problem.forecast
+    ones = np.ones_like(forecast.change)
+    shares = []
+    for increment, reactions in [
+        (1.0, 1.0), (2.0, 2.0),  # the first change: there is nothing to judge it by
+        (2.8, 3.0), (3.0, 4.0), (3.5, 5.0),  # 0.8 of the one before, 0.25, more than all
+        (3.9, 4.9),  # behind the peak; 0.4 after 0.5 was clearly foretold
+        (4.0, 4.8), (4.0, 6.0),  # 0.1 after 0.4 was not; larger than ever again
+    ]:  # fmt: skip
+        forecast.note(1.0, increment * ones, reactions)
+        shares.append(forecast.share)
+    np.testing.assert_allclose(shares, [0.0, 1.0, 0.8, 0.5, 1.0, 1.0, 0.0, 0.5])
+    forecast.note(0.5, 2.1 * ones, 5.0)
+    np.testing.assert_allclose(forecast.increment(2.0), 2 * 4.2 * ones)
 
 
 def test_the_first_guess_by_the_tangent_costs_an_evaluation_in_the_first_step_alone():
