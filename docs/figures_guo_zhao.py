@@ -1,9 +1,8 @@
 """What docs/localisation.md shows beside Guo and Zhao's section 4: curves, bands, local responses.
 
 The runs are those of `benchmarks/localisation.py`, which take hours and are kept in
-results/localisation; 12 x 20 elements with `--friction-variability 0.05 --output
-results/localisation_varied`. Where they are, `run_guo_zhao` takes over what is drawn; where they
-are not, what was kept before is drawn.
+results/localisation. Where they are, `run_guo_zhao` takes over what is drawn; where they are not,
+what was kept before is drawn.
 """
 
 import h5py
@@ -21,10 +20,10 @@ from femxdem_fenicsx.fem.elements import element
 #: Folder of a run, its title.
 MESHES = {
     "localisation/6x10_Q4_2x2": "6 x 10 Q4", "localisation/10x15_Q4_2x2": "10 x 15 Q4",
-    "localisation_varied/12x20_Q4_2x2": "12 x 20 Q4, friction varies",
-    "localisation/6x10_Q8_3x3": "6 x 10 Q8, 3 x 3",
+    "localisation/12x20_Q4_2x2_varied_0.05": "12 x 20 Q4, varied",
+    "localisation/6x10_Q8_3x3_varied_0.05": "6 x 10 Q8, varied",
 }  # fmt: skip
-FINEST, QUADRATIC = "localisation_varied/12x20_Q4_2x2", "localisation/6x10_Q8_3x3"
+*_, FINEST, QUADRATIC = MESHES
 #: The mesh of Guo and Zhao's Fig. 15 and 17, and the axial strains of its fabric (Fig. 18).
 LOCAL, FABRIC = "localisation/10x15_Q4_2x2", (0.04, 0.048)
 #: Cells that stand for what is outside the band, inside, and at the edge where points fail.
@@ -74,7 +73,7 @@ def failed_points(name: str) -> tuple[np.ndarray, int]:
         contacts, grains = file["law/outcome/contacts"][()], file["law/position"].shape[2]
         corners = file["problem/geometry"][:, :4, :2]
     failed = contacts < FAILED_CONTACTS_PER_GRAIN * grains
-    kind, rule = name.split("/")[1].split("_")[1:]
+    kind, rule = name.split("/")[1].split("_")[1:3]
     one = element(kind, rule)
     r, s = _dolfinx.quadrature_rule(one.cell, one.quadrature_degree)[0].T
     shape = np.stack([(1 - r) * (1 - s), r * (1 - s), (1 - r) * s, r * s], axis=1)
@@ -137,7 +136,7 @@ def _maps(axes, kept) -> None:
             for s in FABRIC
         ],
         (fine, finest[:, 0], "12 x 20, varied\n$\\varepsilon_q$"),
-        (q8, strain[:, 0], "6 x 10 Q8\n$\\varepsilon_q$"),
+        (q8, strain[:, 0], "6 x 10 Q8, varied\n$\\varepsilon_q$"),
     ]
     for one, (cells, values, title) in zip(axes, panels, strict=True):
         patches = PolyCollection(cells, array=values, cmap="viridis", lw=0)

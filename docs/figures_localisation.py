@@ -1,8 +1,7 @@
 """What docs/localisation.md shows: the law's roughness, the spectrum along the way, the runs.
 
-The runs are those of `benchmarks/localisation.py`, which keeps them in results/localisation, or
-with `--friction-variability 0.05 --output results/localisation_varied`; those that are there are
-taken over.
+The runs are those of `benchmarks/localisation.py`, which keeps them in results/localisation; those
+that are there are taken over.
 """
 
 import json
@@ -177,8 +176,9 @@ def draw_runs() -> None:
     names = {
         "2x4_q8": "2 x 4 Q8",
         "6x10_q4": "6 x 10 Q4",
-        "6x10_q4_varied": "6 x 10 Q4, friction varies by 0.05",
-        "6x10_q8_3x3": "6 x 10 Q8, 3 x 3 points",
+        "10x15_q4": "10 x 15 Q4",
+        "12x20_q4_varied": "12 x 20 Q4, friction varies by 0.05",
+        "6x10_q8_3x3_varied": "6 x 10 Q8, 3 x 3 points, the same",
     }
     figure = Figure(figsize=(10, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -218,8 +218,9 @@ def keep_history(history: Path, name: str) -> None:
 LONG = {
     "localisation/2x4_Q8_2x2": "2x4_q8",
     "localisation/6x10_Q4_2x2": "6x10_q4",
-    "localisation/6x10_Q8_3x3": "6x10_q8_3x3",
-    "localisation_varied/6x10_Q4_2x2": "6x10_q4_varied",
+    "localisation/10x15_Q4_2x2": "10x15_q4",
+    "localisation/12x20_Q4_2x2_varied_0.05": "12x20_q4_varied",
+    "localisation/6x10_Q8_3x3_varied_0.05": "6x10_q8_3x3_varied",
 }
 
 

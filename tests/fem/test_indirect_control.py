@@ -1,12 +1,11 @@
 """A bar that snaps back, followed in equilibrium; its closed form is in test_path_following.py."""
 
-import h5py
 import numpy as np
 import pytest
 
 from femxdem_fenicsx.fem.indirect_control import IndirectControl, largest
 from femxdem_fenicsx.fem.stepping import LoadStepping, walk
-from tests.fem.snap_back import K0, PEAK, E, bar
+from tests.fem.snap_back import K0, PEAK, E, bar, resumed
 from tests.fem.specimen import WIDTH
 from tests.petsc import petsc_options  # noqa: F401
 
@@ -82,21 +81,11 @@ def test_every_iterate_has_the_prescribed_strain_and_the_load_is_what_belongs_to
 
 
 def test_a_run_that_goes_on_within_the_snap_back_gives_the_same_bits(tmp_path):
-    whole, resumed, within = bar(), bar(), []
-    with h5py.File(tmp_path / "state.h5", "w") as file:
-
-        def between(position):
-            if position.controlled == 5:
-                whole.problem.save(file.create_group("problem"))
-                whole.law.save(file.create_group("law"))
-                within.append(position)
-
-        one = walk(whole.problem, whole.compress, 1.2 * PEAK, STEPPING, between=between)
-        resumed.problem.load(file["problem"])
-        resumed.law.load(file["law"])
-    two = walk(resumed.problem, resumed.compress, 1.2 * PEAK, STEPPING, start=within[0])
-    assert within[0].control > 0 and one == two
-    assert whole.top_force() == resumed.top_force()
+    within, one, two, *bars = resumed(
+        tmp_path, 1.2 * PEAK, STEPPING, lambda position: position.controlled == 5
+    )
+    assert within.control > 0 and one == two
+    assert bars[0].top_force() == bars[1].top_force()
 
 
 def test_a_path_that_leads_back_to_its_start_ends_there_and_says_so():

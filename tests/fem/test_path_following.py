@@ -7,7 +7,6 @@ together with x down to x = 1/2. Prescribing u, there is no equilibrium near the
 at the same u has 2 x - ln x = 2.
 """
 
-import h5py
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -15,7 +14,7 @@ from scipy.optimize import brentq
 from femxdem_fenicsx.collective import Interrupted
 from femxdem_fenicsx.fem.path_following import Crossing, cross
 from femxdem_fenicsx.fem.stepping import LoadStepping, walk
-from tests.fem.snap_back import K0, PEAK, E, bar
+from tests.fem.snap_back import K0, PEAK, E, bar, resumed
 from tests.fem.specimen import HEIGHT, WIDTH
 
 LANDING = brentq(lambda x: 2 * x - np.log(x) - 2, 1e-3, 0.9)
@@ -110,18 +109,8 @@ def test_a_run_that_is_asked_to_stop_stops_behind_the_crossing():
 
 def test_a_run_that_goes_on_from_behind_a_crossing_gives_the_same_bits(tmp_path):
     stepping = LoadStepping(0.13 * K0, 0.13 * K0, looser_limit=0.0, crossing=Crossing())
-    whole, resumed, behind = bar(), bar(), []
-    with h5py.File(tmp_path / "state.h5", "w") as file:
-
-        def between(position):
-            if position.crossings and not behind:
-                whole.problem.save(file.create_group("problem"))
-                whole.law.save(file.create_group("law"))
-                behind.append(position)
-
-        one = walk(whole.problem, whole.compress, 1.5 * PEAK, stepping, between=between)
-        resumed.problem.load(file["problem"])
-        resumed.law.load(file["law"])
-    two = walk(resumed.problem, resumed.compress, 1.5 * PEAK, stepping, start=behind[0])
+    _, one, two, *bars = resumed(
+        tmp_path, 1.5 * PEAK, stepping, lambda position: position.crossings > 0
+    )
     assert one == two and one.crossings == 1
-    assert whole.top_force() == resumed.top_force()
+    assert bars[0].top_force() == bars[1].top_force()
