@@ -1,5 +1,6 @@
 """One load step: law evaluations, criteria, what is committed, PETSc options."""
 
+import h5py
 import numpy as np
 import pytest
 from petsc4py import PETSc
@@ -101,6 +102,25 @@ def test_a_change_is_taken_along_by_the_share_that_foretold_the_last_one_up_to_t
     np.testing.assert_allclose(shares, [0.0, 1.0, 0.8, 0.5, 1.0, 1.0, 0.0, 0.5])
     forecast.note(0.5, 2.1 * ones, 5.0)
     np.testing.assert_allclose(forecast.increment(2.0), 2 * 4.2 * ones)
+
+
+@pytest.mark.parametrize("older", [False, True])
+def test_a_forecast_comes_back_from_a_file_and_from_one_that_knew_only_whether_a_change_goes_on(
+    older, tmp_path
+):
+    problem, other = counting().problem, counting().problem
+    size = len(problem.forecast.change)
+    for growth, reactions in ((1.0, 1.0), (1.1, 2.0), (1.3, 3.0)):
+        problem.forecast.note(0.1, growth * np.arange(size), reactions)
+    with h5py.File(tmp_path / "state.h5", "w") as file:
+        problem.save(file)
+        if older:
+            del file["share_of_change"], file["largest_reactions"]
+            file["change_goes_on"] = np.ones(len(file["step"]), bool)
+        other.load(file)
+    assert other.forecast.share == 1.0
+    assert other.forecast.largest_reactions == (0.0 if older else 3.0)
+    np.testing.assert_array_equal(other.forecast.increment(0.1), problem.forecast.increment(0.1))
 
 
 def test_the_first_guess_by_the_tangent_costs_an_evaluation_in_the_first_step_alone():
