@@ -90,7 +90,7 @@ def test_a_change_of_the_increment_that_goes_on_is_taken_along():
 def test_a_change_is_taken_along_by_the_share_that_foretold_the_last_one_up_to_the_peak_alone():
     forecast = counting().problem.forecast
     ones = np.ones_like(forecast.change)
-    shares = []
+    shares, next_ones = [], []
     for increment, reactions in [
         (1.0, 1.0), (2.0, 2.0),  # the first change: there is nothing to judge it by
         (2.8, 3.0), (3.0, 4.0), (3.5, 5.0),  # 0.8 of the one before, 0.25, more than all
@@ -99,7 +99,9 @@ def test_a_change_is_taken_along_by_the_share_that_foretold_the_last_one_up_to_t
     ]:  # fmt: skip
         forecast.note(1.0, increment * ones, reactions)
         shares.append(forecast.share)
+        next_ones.append(forecast.increment(1.0)[0])
     np.testing.assert_allclose(shares, [0.0, 1.0, 0.8, 0.5, 1.0, 1.0, 0.0, 0.5])
+    np.testing.assert_allclose(next_ones, [1.0, 3.0, 3.44, 3.1, 4.0, 4.3, 4.0, 4.0])
     forecast.note(0.5, 2.1 * ones, 5.0)
     np.testing.assert_allclose(forecast.increment(2.0), 2 * 4.2 * ones)
 
