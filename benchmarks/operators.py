@@ -275,7 +275,7 @@ def study_state(study, specimen, operators, strain, spectra: bool) -> dict:
             best = reached, problem.u.x.array.copy()
         law.discard()
     problem.u.x.array[:] = best[1]
-    problem._evaluate_at_u()
+    problem.balance.evaluate()
     A, B = 0, specimen.points.size // 2 + 1  # in two elements
     for name, each in operators.items():
         law._operator = each
@@ -295,7 +295,7 @@ def spectra_of(study, specimen, operators) -> dict:
     """Eigenvalues of K^-1 J; J by central differences of about the step's own strain."""
     problem = specimen.problem
     u = problem.u.x.array
-    at, free = u.copy(), np.setdiff1d(np.arange(len(u)), problem._constrained)
+    at, free = u.copy(), np.setdiff1d(np.arange(len(u)), problem.balance.constrained)
     size = STEP * specimen.height / study.mesh[1]
     J = np.zeros((len(free), len(free)))
     for column, dof in enumerate(free):
@@ -303,11 +303,11 @@ def spectra_of(study, specimen, operators) -> dict:
         for sign in (1.0, -1.0):
             u[:] = at
             u[dof] += sign * size
-            problem._evaluate_at_u()
-            forces.append(problem._forces.array_r[free].copy())
+            problem.balance.evaluate()
+            forces.append(problem.balance.forces.array_r[free].copy())
         J[:, column] = (forces[0] - forces[1]) / (2 * size)
     u[:] = at
-    problem._evaluate_at_u()
+    problem.balance.evaluate()
     spectra = {}
     for name, each in operators.items():
         specimen.law._operator = each

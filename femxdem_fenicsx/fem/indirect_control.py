@@ -69,7 +69,7 @@ class IndirectControl:
         """c, for the point with the smallest stiffness along the first guess."""
         problem, points = self._problem, self._problem.operator.points
         e = deviator(problem, self.guess)
-        change = problem.stress_at(self.guess) - problem.stress_at(0.0 * self.guess)
+        change = problem.balance.stress_at(self.guess) - problem.balance.stress_at(0.0 * self.guess)
         squares = (e**2).sum(axis=(1, 2))
         stiffness = (change * e).sum(axis=(1, 2)) / np.maximum(squares, 1e-300)
         comm = points.mesh.comm
@@ -79,7 +79,7 @@ class IndirectControl:
         chosen = comm.allreduce(here, MPI.MIN)[1]
         weight = np.where(points.index == chosen, 1.0 / points.volumes(), 0.0)
         direction = e * np.sqrt(2.0 / np.maximum(squares, 1e-300))[:, None, None]
-        return problem.forces_of(weight[:, None, None] * direction)
+        return problem.balance.forces_of(weight[:, None, None] * direction)
 
     # ---- what PETSc's PC calls ------------------------------------------------------------------
 
@@ -97,7 +97,7 @@ class IndirectControl:
 
 def deviator(problem: Problem, increment: np.ndarray) -> np.ndarray:
     """Of the strain (n, d, d) of an increment from here; owned dofs."""
-    F = problem.deformation_gradient(increment)
+    F = problem.balance.deformation_gradient(increment)
     strain = 0.5 * (F + np.swapaxes(F, 1, 2)) - np.eye(F.shape[1])
     mean = np.trace(strain, axis1=1, axis2=2) / F.shape[1]
     return strain - mean[:, None, None] * np.eye(F.shape[1])

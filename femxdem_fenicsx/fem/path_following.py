@@ -79,7 +79,7 @@ def cross(
     reason = ""
     try:
         while residual > limit and not reason:
-            problem.viscosity = viscosity
+            problem.balance.viscosity = viscosity
             solution = problem.solve(step if moves == 0 else 0.0)
             if not solution.converged:
                 problem.reject()
@@ -87,7 +87,7 @@ def cross(
                 if viscosity.dt < settings.first_time / 64:
                     reason = f"a move ends with {solution.residual:.2e} ({solution.reason})"
                 continue
-            residual = problem.unbalance()
+            residual = problem.balance.without_viscosity()
             problem.accept(step, guides=False)
             moves, iterations = moves + 1, iterations + solution.iterations
             work, lost_work = work + problem.work, lost_work + abs(problem.lost_work)
@@ -97,7 +97,7 @@ def cross(
                 reason = f"not at rest after {moves} moves"
             viscosity.dt = min(settings.growth * viscosity.dt, settings.longest_time)
     finally:
-        problem.viscosity, operator.interrupted = None, interrupted
+        problem.balance.viscosity, operator.interrupted = None, interrupted
     problem.forget(for_good=True)
     return Crossed(
         moves, iterations, residual, work, lost_work, "" if residual <= limit else reason

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import dolfinx.fem.petsc
 import h5py
 import numpy as np
 import ufl
 from dolfinx import fem
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from ..collective import together
 from ..law import InadmissibleDeformation
 from . import _dolfinx
+from .balance import Balance
 from .convergence import Convergence, Solution
 from .external_operator import ExternalOperator
 from .forecast import Forecast
@@ -23,7 +22,6 @@ from .indirect_control import IndirectControl
 from .learnt import Learnt, cell_rows, from_cell_rows
 from .mesh_motion import MeshMotion
 from .options import PREFIX, set_from_options
-from .viscosity import Viscosity
 
 REASONS = {
     value: name
@@ -33,21 +31,6 @@ REASONS = {
 
 #: What the iteration of a step can start from, see `Problem`.
 FIRST_GUESSES = ("increment", "tangent")
-
-
-@dataclass(frozen=True)
-class _Evaluated:
-    """An iterate (owned dofs), with its FNORM and RNORM."""
-
-    x: np.ndarray
-    out_of_balance: float
-    reactions: float
-
-    @property
-    def ratio(self) -> float:
-        if self.out_of_balance == 0.0:
-            return 0.0
-        return self.out_of_balance / self.reactions if self.reactions > 0 else np.inf
 
 
 class Problem:
@@ -61,9 +44,8 @@ class Problem:
         operator: the external operator in the forms.
         motion: moves the mesh, and holds the total displacement.
         convergence: the criteria.
+        balance: the nodal forces at u, and what is out of balance there.
         forecast: what the increments so far say of the next one.
-        viscosity: adds viscous forces, see :mod:`femxdem_fenicsx.fem.path_following`; None for
-            none.
         control: makes the load an unknown, see :mod:`femxdem_fenicsx.fem.indirect_control`.
         work: of the reactions at constrained dofs in the last accepted step, J (per metre in 2D).
         lost_work: of what was out of balance there: so much more work did external forces and
@@ -103,26 +85,19 @@ class Problem:
             )
         self.u, self.operator, self.bcs = u, operator, list(bcs)
         self.convergence = convergence or Convergence()
+        self.balance = Balance(u, residual, operator, self.bcs)
         element = operator.points.element
         self.motion = MeshMotion(u, element.cell, element.degree)
         self._mesh = u.function_space.mesh
         self._comm = self._mesh.comm
-        self._residual, self._jacobian = fem.form(residual), fem.form(jacobian)
+        self._jacobian = fem.form(jacobian)
         self._matrix = dolfinx.fem.petsc.create_matrix(self._jacobian)
-        self._forces = _dolfinx.create_vector(self._residual, u.function_space)
-        self._work = self._forces.duplicate()
         self._x = self._matrix.createVecRight()
-        self._constrained, self._values = _dolfinx.prescribed(self._work, self.bcs)
-        self._now: _Evaluated | None = None
-        self._before: _Evaluated | None = None
-        self._best: _Evaluated | None = None
         self._astray = ""
         self._failure: Exception | None = None
-        self._size = self._x.local_size
-        self.forecast = Forecast(u, self._size, self._norms)
+        self.forecast = Forecast(u, self.balance.size, self.balance.norms)
         self.first_guess = first_guess
         self._last_forces: PETSc.Vec | None = None
-        self.viscosity: Viscosity | None = None
         self.control: IndirectControl | None = None
         self.work = self.lost_work = 0.0
         self.snes = self._create_snes(prefix)
@@ -156,10 +131,11 @@ class Problem:
             Exception: any error of the law but InadmissibleDeformation, on all ranks.
         """
         started = self.operator.evaluations
-        self._now, self._astray = None, ""
-        _, self._values = _dolfinx.prescribed(self._work, self.bcs)
+        self._astray = ""
+        self.balance.read_prescribed()
+        self.balance.restart()
         self._x.array[:] = self.control.guess if self.control else self._first_guess(step)
-        self._now = self._before = self._best = None  # u = 0 was no iterate
+        self.balance.restart()  # u = 0 was no iterate
         try:
             self.snes.solve(None, self._x)
         except Exception:
@@ -168,12 +144,12 @@ class Problem:
             raise
         converged = self.snes.getConvergedReason() > 0
         if converged:
-            self._set_u(self._x.array_r)
-            self._evaluate_at_u()
-            residual = self._now.ratio
-        elif self._best is not None:
-            self._set_u(self._best.x)
-            residual = self._best.ratio
+            self.balance.place(self._x.array_r)
+            self.balance.evaluate()
+            residual = self.balance.now.ratio
+        elif self.balance.best is not None:
+            self.balance.place(self.balance.best.u)
+            residual = self.balance.best.ratio
         else:
             residual = np.inf
         return Solution(
@@ -190,96 +166,49 @@ class Problem:
         The law commits what it computed at this very u. `guides`: whether the first guess of the
         next step is this increment, and not that of an earlier step.
         """
-        self._evaluate_at_u()
+        self.balance.evaluate()
         together(self._comm, self.operator.commit)
-        self.work, self.lost_work = self._works()
+        self.work, self.lost_work = self.balance.works(self._last_forces)
         self.motion.move()
         if guides:
-            self.forecast.note(step, self.u.x.array[: self._size], self._now.reactions)
-        self._last_forces = self._forces.copy()
+            self.forecast.note(
+                step, self.u.x.array[: self.balance.size], self.balance.now.reactions
+            )
+        self._last_forces = self.balance.forces.copy()
         self._learnt.keep()
         self.u.x.array[:] = 0.0
-        self._now = None
-
-    def _works(self) -> tuple[float, float]:
-        """(`work`, `lost_work`) of the step that ends at u, by the trapezoidal rule."""
-        forces = self._forces.array_r
-        if self._last_forces is not None:
-            forces = 0.5 * (forces + self._last_forces.array_r)
-        work = forces * self.u.x.array[: self._size]
-        at_constrained = work[self._constrained].sum()
-        both = np.array([at_constrained, at_constrained - work.sum()])
-        return tuple(self._comm.allreduce(both).tolist())
+        self.balance.restart()
 
     def stiffness(self) -> PETSc.Mat:
         """The Jacobian between two steps, of the last accepted state: a copy."""
-        self._set_u(np.zeros(self._size))
-        viscosity, self.viscosity = self.viscosity, None
+        self.balance.place(np.zeros(self.balance.size))
+        viscosity, self.balance.viscosity = self.balance.viscosity, None
         self._assemble_jacobian(self.snes, self._x, self._matrix, self._matrix)
-        self.viscosity = viscosity
+        self.balance.viscosity = viscosity
         self.forget()
         self._learnt.keep()
         return self._matrix.copy()
 
-    def deformation_gradient(self, increment: np.ndarray) -> np.ndarray:
-        """(n, d, d), of an increment from here, owned dofs. Between two steps alone."""
-        self._set_u(increment)
-        F = self.operator.deformation_gradient()
-        self._set_u(np.zeros(self._size))
-        return F
-
-    def stress_at(self, increment: np.ndarray) -> np.ndarray:
-        """Cauchy stress (n, d, d), Pa, behind an increment, owned dofs; the law is evaluated."""
-        self._set_u(increment)
-        self._evaluate_at_u()
-        stress = self.operator.point_stress()
-        self._set_u(np.zeros(self._size))
-        return stress
-
-    def forces_of(self, stress: np.ndarray) -> PETSc.Vec:
-        """Internal nodal forces of a stress (n, d, d) alone, per Pa and m: a linear functional.
-
-        Times an increment it is the integral of stress : strain. Between two steps alone.
-        """
-        forces, held = [], self.operator.stress.x.array.copy()
-        for values in (stress, np.zeros_like(stress)):
-            self.operator.set_stress(values)
-            _dolfinx.assemble_vector(self._work, self._residual)
-            forces.append(self._work.copy())
-        self.operator.stress.x.array[:] = held
-        return forces[0] - forces[1]
-
-    def load_share(self) -> float:
-        """Share of the prescribed values that u has: 1 but under indirect control."""
-        u = self.u.x.array[self._constrained]
-        both = np.array([self._values @ u, self._values @ self._values])
-        reached, asked = self._comm.allreduce(both)
-        return float(reached / asked)
-
     def response(self, ksp: PETSc.KSP) -> PETSc.Vec:
         """To the prescribed values alone, by the last Jacobian, which `ksp` solves with."""
-        right, solution = self._work, self._x.duplicate()
+        right, solution = self.balance.forces.duplicate(), self._x.duplicate()
         right.set(0.0)
         _dolfinx.lift(right, self._jacobian, self.bcs)
-        right.array[self._constrained] = self._values
+        right.array[self.balance.constrained] = self.balance.prescribed
         ksp.solve(right, solution)
         return solution
-
-    def unbalance(self) -> float:
-        """FNORM/RNORM at the last iterate without viscous forces."""
-        return self._measured(self._forces.array_r).ratio
 
     def reject(self) -> None:
         """Forget the trial and what the solver has learnt; u is zero again."""
         together(self._comm, self.operator.discard)
         self.forget()
         self.u.x.array[:] = 0.0
-        self._now = None
+        self.balance.restart()
 
     @property
     def residual(self) -> float:
         """FNORM/RNORM at the last iterate; NaN where there is none."""
-        return np.nan if self._now is None else self._now.ratio
+        return np.nan if self.balance.now is None else self.balance.now.ratio
 
     def forget(self, for_good: bool = False) -> None:
         """Forget what the solver has learnt, but not the last increment: Jacobian, differences.
@@ -309,10 +238,10 @@ class Problem:
         self.forecast.load(group, self._comm)
         self._last_forces = None
         if "forces" in group:  # not in the first format
-            self._last_forces = self._forces.duplicate()
+            self._last_forces = self.balance.forces.duplicate()
             self._last_forces.array[:] = from_cell_rows(self.u, group["forces"][()])
         self._learnt.load(group)
-        self._now = None
+        self.balance.restart()
         _dolfinx.set_cell_values(self.motion.displacement, group["displacement"][()])
         nodes = _dolfinx.geometry_dofmap(self._mesh)
         self._mesh.geometry.x[nodes] = group["geometry"][()]
@@ -323,8 +252,7 @@ class Problem:
         At the last iterate of the last solve, also after `accept`. `dofs`: what
         `locate_dofs_topological` finds in a component's space; those of other ranks are ignored.
         """
-        owned = dofs[dofs < self._size]
-        return self._comm.allreduce(float(self._forces.array_r[owned].sum()))
+        return self.balance.reaction(dofs)
 
     # ---- first guess ----------------------------------------------------------------------------
 
@@ -333,15 +261,15 @@ class Problem:
             guess = self.forecast.increment(step) - self._left_over()
         else:
             guess = self._linear_response()
-        guess[self._constrained] = self._values
+        guess[self.balance.constrained] = self.balance.prescribed
         return guess
 
     def _left_over(self) -> np.ndarray:
         """What the last step left out of balance, as a displacement, by the last Jacobian."""
         if not self._learnt.assembled:
-            return np.zeros(self._size)
+            return np.zeros(self.balance.size)
         right = self._last_forces.copy()
-        right.array[self._constrained] = 0.0
+        right.array[self.balance.constrained] = 0.0
         return self._linear_solution(right)
 
     def _linear_response(self) -> np.ndarray:
@@ -349,16 +277,15 @@ class Problem:
 
         That is known from the end of the last step; before the first one, the law is evaluated.
         """
-        self._set_u(np.zeros(self._size))
+        self.balance.place(np.zeros(self.balance.size))
         if not self.forecast.known or self._last_forces is None:
-            self._evaluate_at_u()
-            self._last_forces = self._forces.copy()
+            self.balance.evaluate()
+            self._last_forces = self.balance.forces.copy()
         self._assemble_jacobian(self.snes, self._x, self._matrix, self._matrix)
-        right = self._work
-        self._last_forces.copy(right)
+        right = self._last_forces.copy()
         right.scale(-1.0)
         _dolfinx.lift(right, self._jacobian, self.bcs)
-        right.array[self._constrained] = self._values
+        right.array[self.balance.constrained] = self.balance.prescribed
         return self._linear_solution(right)
 
     def _linear_solution(self, right: PETSc.Vec) -> np.ndarray:
@@ -368,15 +295,15 @@ class Problem:
         ksp.solve(right, solution)
         if ksp.getConvergedReason() < 0:
             ksp.reset()  # or MUMPS goes on with the failed factors
-            return np.zeros(self._size)
+            return np.zeros(self.balance.size)
         return solution.array_r.copy()
 
     # ---- what SNES calls ------------------------------------------------------------------------
 
     def _function(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
-        self._set_u(x.array_r)
+        self.balance.place(x.array_r)
         try:
-            self._evaluate_at_u()
+            self.balance.evaluate()
         except InadmissibleDeformation as error:
             # petsc4py 3.18 cannot report a domain error: NaN stops every SNES type
             self._astray = str(error)
@@ -385,18 +312,18 @@ class Problem:
         except Exception as error:
             self._failure = error
             raise
-        f.array[:] = self._total_forces()
+        f.array[:] = self.balance.total()
         # under indirect control whatever load x has is right
-        f.array[self._constrained] = (
-            0.0 if self.control else x.array_r[self._constrained] - self._values
+        f.array[self.balance.constrained] = (
+            0.0 if self.control else x.array_r[self.balance.constrained] - self.balance.prescribed
         )
 
     def _assemble_jacobian(self, snes, x: PETSc.Vec, matrix: PETSc.Mat, preconditioner) -> None:
         try:
             self.operator.evaluate_tangent()
             _dolfinx.assemble_matrix(preconditioner, self._jacobian, self.bcs)
-            if self.viscosity is not None:
-                self.viscosity.add_to(preconditioner)
+            if self.balance.viscosity is not None:
+                self.balance.viscosity.add_to(preconditioner)
         except Exception as error:
             self._failure = error
             raise
@@ -404,50 +331,10 @@ class Problem:
 
     def _test(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         reason = PETSc.SNES.ConvergedReason
-        if not np.isfinite(norms[2]) or self._now is None:
+        if not np.isfinite(norms[2]) or self.balance.now is None:
             return reason.DIVERGED_FUNCTION_DOMAIN
-        if self.convergence.holds(self._now.ratio, self._correction()):
+        if self.convergence.holds(self.balance.now.ratio, self.balance.correction()):
             return reason.CONVERGED_FNORM_RELATIVE
         if norms[2] < snes.getTolerances()[1]:
             return reason.CONVERGED_FNORM_ABS
         return reason.ITERATING
-
-    def _correction(self) -> float:
-        """Norm of the last correction over that of u; infinite before the first correction."""
-        if self._before is None:
-            return np.inf
-        correction, displacement = self._norms(self._now.x - self._before.x, self._now.x)
-        return correction / displacement if displacement > 0 else 0.0
-
-    # ---- evaluation -----------------------------------------------------------------------------
-
-    def _set_u(self, owned: np.ndarray) -> None:
-        self.u.x.array[: self._size] = owned
-        self.u.x.scatter_forward()
-
-    def _evaluate_at_u(self) -> None:
-        """Law and nodal forces at u, unless u is where they were evaluated last."""
-        x = self.u.x.array[: self._size]
-        same = self._now is not None and np.array_equal(x, self._now.x)
-        if self._comm.allreduce(same, MPI.LAND):
-            return
-        before, self._now = self._now, None
-        self.operator.evaluate()
-        _dolfinx.assemble_vector(self._forces, self._residual)
-        self._before, self._now = before, self._measured(self._total_forces())
-        if self._best is None or self._now.ratio < self._best.ratio:
-            self._best = self._now
-
-    def _total_forces(self) -> np.ndarray:
-        """Internal and viscous less external nodal forces at the last iterate."""
-        forces = self._forces.array_r
-        return forces if self.viscosity is None else forces + self.viscosity.forces(self.u)
-
-    def _measured(self, forces: np.ndarray) -> _Evaluated:
-        free = np.delete(forces, self._constrained)
-        out_of_balance, reactions = self._norms(free, forces[self._constrained])
-        return _Evaluated(self.u.x.array[: self._size].copy(), out_of_balance, reactions)
-
-    def _norms(self, *arrays: np.ndarray) -> list[float]:
-        squares = np.array([np.dot(a, a) for a in arrays])
-        return list(np.sqrt(self._comm.allreduce(squares)))

@@ -249,7 +249,7 @@ def _solve(problem: Problem, set_load, end: float, stepping: LoadStepping, at: P
     set_load(at.load, at.load + stepping.step)
     with IndirectControl(problem, at.control):
         solution = problem.solve(stepping.step)
-    return stepping.step * problem.load_share(), solution
+    return stepping.step * problem.balance.load_share(), solution
 
 
 def _smaller(

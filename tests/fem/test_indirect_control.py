@@ -75,7 +75,7 @@ def test_every_iterate_has_the_prescribed_strain_and_the_load_is_what_belongs_to
     with IndirectControl(problem, 0.02 * K0):
         assert problem.solve(0.1 * PEAK).converged
     # uniaxial strain e, of the specimen before the peak: eps_q = sqrt(2) |dev| = |e|
-    assert problem.load_share() * 0.1 * PEAK == pytest.approx(0.02 * K0, rel=1e-4)
+    assert problem.balance.load_share() * 0.1 * PEAK == pytest.approx(0.02 * K0, rel=1e-4)
     assert [largest(problem, u) for u in iterates] == pytest.approx([0.02 * K0] * len(iterates))
     assert iterates
 

@@ -79,11 +79,11 @@ def test_a_change_of_the_increment_that_goes_on_is_taken_along():
         specimen.compress(0.02 * step, 0.02 * (step + 1))
         change, share = problem.forecast.change.copy(), problem.forecast.share
         assert problem.solve().converged
-        end = problem.u.x.array[: problem._size].copy()
+        end = problem.u.x.array[: problem.balance.size].copy()
         problem.accept()
     assert share >= 0.5 and not np.allclose(change, 0.0)
     off = np.linalg.norm(guesses[-1] - end)
-    change[problem._constrained] = 0.0  # prescribed, whatever the guess
+    change[problem.balance.constrained] = 0.0  # prescribed, whatever the guess
     assert off < 0.5 * np.linalg.norm(guesses[-1] - share * change - end)
 
 
@@ -180,7 +180,7 @@ def test_the_law_is_committed_at_the_very_iterate_that_is_accepted():
     specimen.problem.solve()
     first = specimen.points.volumes()
     specimen.law.evaluate(np.tile(1.1 * np.eye(2), (specimen.points.size, 1, 1)))
-    specimen.problem._now = None  # as if the last evaluation had been elsewhere
+    specimen.problem.balance.restart()  # as if the last evaluation had been elsewhere
     specimen.problem.accept()
     # what the law was told is what the mesh did
     J = np.linalg.det(specimen.law._state["F"])
@@ -302,7 +302,7 @@ def test_an_unconverged_solve_leaves_the_best_iterate():
     assert not solution.converged
     assert solution.reason == "DIVERGED_MAX_IT"
     specimen.problem.accept()
-    free = np.delete(specimen.problem._forces.array, specimen.problem._constrained)
+    free = np.delete(specimen.problem.balance.forces.array, specimen.problem.balance.constrained)
     assert np.linalg.norm(free) == pytest.approx(min(norms))
 
 

@@ -150,8 +150,8 @@ def test_a_rigid_rotation_turns_the_nodal_forces_and_adds_none():
 
     def forces(rotation):
         specimen.u.interpolate(lambda x: (rotation - np.eye(2)) @ x[:2])
-        specimen.problem._evaluate_at_u()
-        return specimen.problem._forces.array.reshape(-1, 2).copy()
+        specimen.problem.balance.evaluate()
+        return specimen.problem.balance.forces.array.reshape(-1, 2).copy()
 
     at_rest = forces(np.eye(2))
     assert np.abs(at_rest).max() > 0.1
