@@ -328,6 +328,13 @@ def test_a_constant_multiplier_on_triangles_and_a_linear_one_on_q8_do_not():
         assert fine < 0.65 * coarse
 
 
+@pytest.mark.parametrize("name", ["Q8", "Q9"])
+def test_periodic_sides_and_an_even_number_of_columns_leave_a_multiplier_that_nothing_feels(name):
+    odd, even = (constant(name, columns, layer=True) for columns in (3, 4))
+    assert odd > 0.5
+    assert even < 1e-6
+
+
 # The solver and the state
 
 
