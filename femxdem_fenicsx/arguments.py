@@ -61,7 +61,9 @@ def add_discretisation(
     """--mesh, --element, --points, --formulation and --gradient, into the group of the specimen."""
     axes = ("NX", "NY", "NZ")[:dim]
     *others, last = names(dim)
-    specimen.add_argument("--mesh", type=int, nargs=dim, default=tuple(cells), metavar=axes)
+    specimen.add_argument(
+        "--mesh", type=int, nargs=dim, default=tuple(cells), metavar=axes, help="elements each way"
+    )
     specimen.add_argument("--element", default=kind, help=f"{', '.join(others)} or {last}")
     specimen.add_argument("--points", help="quadrature, e.g. 3x3  (default: the element's)")
     specimen.add_argument("--formulation", default="finite", help=", ".join(formulations))
@@ -108,7 +110,7 @@ def add_grains(parser: argparse.ArgumentParser, count: int, noun: str) -> argpar
     grains.add_argument(
         "--radii", type=float, nargs=2, default=(3e-3, 7e-3), metavar=("MIN", "MAX"), help="m"
     )
-    grains.add_argument("--seed", type=int, default=1)
+    grains.add_argument("--seed", type=int, default=1, help="another one, another packing")
     contact_arguments.add_contact_law(grains)
     grains.add_argument(
         "--compaction-friction", type=float, default=0.0, help="0: dense, 0.2: loose"
@@ -140,7 +142,7 @@ def add_solution(parser: argparse.ArgumentParser) -> None:
     solution.add_argument(
         "--displacement-tolerance", type=float, help="on the last correction too (Guo-Zhao: 1e-2)"
     )
-    solution.add_argument("--max-iterations", type=int, default=20)
+    solution.add_argument("--max-iterations", type=int, default=20, help="of one step")
     solution.add_argument(
         "--looser-tolerance", type=float, default=5e-2, help="for steps that cannot be cut more"
     )

@@ -17,10 +17,18 @@ USER_ERROR, LOST_CONTROLLABILITY = 2, 3
 
 
 class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
-    """Defaults behind the help texts, but for options that say themselves what None means."""
+    """Defaults behind the help texts, but for options that say themselves what None means.
+
+    Several values are shown as they would be typed.
+    """
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
-        return action.help if action.default is None else super()._get_help_string(action)
+        if action.default is None:
+            return action.help
+        if isinstance(action.default, tuple):
+            typed = " ".join(str(value) for value in action.default)
+            return f"{action.help or ''} (default: {typed})".lstrip()
+        return super()._get_help_string(action)
 
 
 def refuse(message: str):
