@@ -4,14 +4,16 @@ For a multiplier lambda, s_h(lambda) is the largest of int lambda : (grad u - nu
 (u, nu) with |grad u|^2 + |nu|^2 + |grad nu|^2 = 1, and s(lambda) the same over all functions (here
 of two degrees more). The space is stable where the smallest s_h / s stays away from zero under
 refinement: then every multiplier that the continuum feels is felt by the discrete functions too.
-One row i of nu_ij is enough, as the rows do not meet. A layer between two plates with periodic
-sides is told apart: with an even number of columns, and only then, one multiplier is felt by no
-discrete function. Prints one JSON object as its last line.
+One row i of nu_ij is enough, as the rows do not meet. u is zero on the bottom, or on two plates, on
+the bottom and on the top: then, with a linear micro-strain, one multiplier is felt less and less,
+and with periodic sides and an even number of columns not at all. Prints one JSON object as its last
+line.
 """
 
 import argparse
 import json
 import sys
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT)]
 from femxdem_fenicsx import script  # noqa: E402
 from femxdem_fenicsx.fem import _dolfinx  # noqa: E402
-from femxdem_fenicsx.fem.elements import element  # noqa: E402
+from femxdem_fenicsx.fem.elements import MICRO_STRAINS, element  # noqa: E402
 from meshes.box import box  # noqa: E402
 from meshes.rectangle import rectangle  # noqa: E402
 
@@ -36,11 +38,17 @@ MULTIPLIERS = {"P0": ("DG", 0), "dP1": ("DG", 1), "P1": ("Lagrange", 1)}
 
 
 def constant(
-    name: str, cells: int, multiplier: str = "P0", distortion: float = 0.0, layer: bool = False
+    name: str,
+    cells: int,
+    multiplier: str = "P0",
+    distortion: float = 0.0,
+    *,
+    sides: str | None = None,
+    micro_strain: str = "linear",
 ) -> float:
     """Smallest s_h / s for an element on the unit square or cube with so many cells each way.
 
-    u is zero on the bottom; in a `layer` (2D) on the top too, and the sides are periodic.
+    u is zero on the bottom; where `sides` (2D) is given, "free" or "periodic", on the top too.
     """
     kind = element(name)
     d = kind.dim
@@ -50,13 +58,15 @@ def constant(
         domain = box(MPI.COMM_SELF, (1.0,) * 3, (cells,) * 3, kind, distortion)
     family, degree = MULTIPLIERS[multiplier]
     Lambda = _space(domain, family, kind.cell, degree, (d,))
-    if name == "Q8":
-        U = _dolfinx.functionspace(domain, _dolfinx.serendipity_element())
+    U = _dolfinx.functionspace(domain, kind._of_nodes(()))
+    if micro_strain == "quadratic":
+        N = _dolfinx.functionspace(domain, kind._of_nodes((d,)))
     else:
-        U = _space(domain, "Lagrange", kind.cell, kind.degree)
-    coarse = _felt(U, _space(domain, "Lagrange", kind.cell, 1, (d,)), Lambda, layer)
+        N = _space(domain, "Lagrange", kind.cell, 1, (d,))
+    coarse = _felt(U, N, Lambda, sides)
     U = _space(domain, "Lagrange", kind.cell, kind.degree + 2)
-    fine = _felt(U, _space(domain, "Lagrange", kind.cell, 3, (d,)), Lambda, layer)
+    N = _space(domain, "Lagrange", kind.cell, 3 if micro_strain == "linear" else 4, (d,))
+    fine = _felt(U, N, Lambda, sides)
     return float(np.sqrt(max(eigh(coarse, fine, eigvals_only=True)[0], 0.0)))
 
 
@@ -64,18 +74,18 @@ def _space(domain, family: str, cell: str, degree: int, shape: tuple[int, ...] =
     return _dolfinx.functionspace(domain, _dolfinx._element(family, cell, degree, shape))
 
 
-def _felt(U, N, Lambda, layer: bool) -> np.ndarray:
+def _felt(U, N, Lambda, sides: str | None) -> np.ndarray:
     """s^2 as a quadratic form of the multipliers' dofs."""
     u, w = ufl.TrialFunction(U), ufl.TestFunction(U)
     nu, eta = ufl.TrialFunction(N), ufl.TestFunction(N)
     mu = ufl.TestFunction(Lambda)
-    plates = (0.0, 1.0) if layer else (0.0,)
+    plates = (0.0, 1.0) if sides else (0.0,)
     total = 0.0
     for space, fixed, norm, constraint in (
         (U, plates, ufl.inner(ufl.grad(u), ufl.grad(w)), ufl.inner(mu, ufl.grad(u))),
         (N, (), ufl.inner(nu, eta) + ufl.inner(ufl.grad(nu), ufl.grad(eta)), ufl.inner(mu, nu)),
     ):
-        T = _independent(space, fixed, layer)
+        T = _independent(space, fixed, sides == "periodic")
         X, B = T.T @ _matrix(norm) @ T, _matrix(constraint) @ T
         total = total + B @ splu(X.tocsc()).solve(B.T.toarray())
     return 0.5 * (total + total.T)
@@ -120,9 +130,10 @@ def main(comm: MPI.Comm) -> int:
                 for n in counts[: 2 if args.quick else None]
             }
             result.append({"element": name, "multiplier": multiplier, "constants": constants})
-    for name in ("Q8", "Q9"):
-        constants = {str(n): constant(name, n, layer=True) for n in (3, 4, 7, 8)}
-        result.append({"element": name, "multiplier": "P0", "layer": True, "constants": constants})
+    for sides, micro_strain in product(("free", "periodic"), MICRO_STRAINS):
+        between = {"sides": sides, "micro_strain": micro_strain}
+        constants = {str(n): constant("Q8", n, **between) for n in (2, 3, 4, 7, 8)}
+        result.append({"element": "Q8", "multiplier": "P0", **between, "constants": constants})
     if comm.rank == 0:
         print(json.dumps({"cases": result}))
     return 0

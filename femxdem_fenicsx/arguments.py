@@ -23,7 +23,7 @@ from .dem.preparation import random_packing
 from .dem.tangents import OPERATORS, operator
 from .double_stress import one_parameter
 from .fem.convergence import Convergence
-from .fem.elements import element, names
+from .fem.elements import MICRO_STRAINS, element, names
 from .fem.path_following import Crossing
 from .fem.quadrature_points import QuadraturePoints
 from .fem.stepping import LoadStepping
@@ -73,6 +73,11 @@ def add_discretisation(
         type=float,
         metavar="D",
         help="N, with --gradient second  (the internal length goes with its square root)",
+    )
+    specimen.add_argument(
+        "--micro-strain",
+        help=f"{', '.join(MICRO_STRAINS)}, with --gradient second  (default: linear, Desrues' "
+        "element; quadratic: for narrow bands)",
     )
 
 
@@ -216,11 +221,13 @@ def _check_gradient(args: argparse.Namespace, dim: int) -> None:
     if args.gradient == "first":
         if modulus is not None:
             raise ValueError("--second-gradient-modulus needs --gradient second")
+        if args.micro_strain is not None:
+            raise ValueError("--micro-strain needs --gradient second")
         return
     if modulus is None:
         raise ValueError("--gradient second needs --second-gradient-modulus D, in N")
     one_parameter(modulus, dim)
-    element(args.element, args.points).check_second_gradient()
+    element(args.element, args.points).check_second_gradient(args.micro_strain or "linear")
     if dim == 3 and args.formulation != "small":
         raise ValueError("second gradient in 3D: use --formulation small")
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def medium_for(
     args: argparse.Namespace, points: QuadraturePoints
 ) -> FirstGradient | SecondGradient:
-    """The continuum that --gradient, --second-gradient-modulus and --formulation ask for.
+    """The continuum that --gradient, --second-gradient-modulus, ... and --formulation ask for.
 
     Raises ValueError for a modulus that is not positive and an element without a mixed space.
     """
@@ -26,4 +26,4 @@ def medium_for(
     from .second_gradient import SecondGradient  # a first-gradient run does not even load it
 
     stiffness = one_parameter(args.second_gradient_modulus, points.mesh.geometry.dim)
-    return SecondGradient(points, args.formulation, stiffness)
+    return SecondGradient(points, args.formulation, stiffness, args.micro_strain or "linear")

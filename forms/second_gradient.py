@@ -58,18 +58,25 @@ class SecondGradient:
         points: of the mesh.
         formulation: "small" or "finite", as for the first gradient.
         stiffness: A of the double stress, (d,) * 6, N: see :mod:`femxdem_fenicsx.double_stress`.
+        micro_strain: of nu within a cell, "linear" (Desrues section 4.3) or "quadratic".
 
     Raises:
         ValueError: an element without a mixed space; "finite" in 3D, whose form is too large.
     """
 
-    def __init__(self, points: QuadraturePoints, formulation: str, stiffness: np.ndarray):
+    def __init__(
+        self,
+        points: QuadraturePoints,
+        formulation: str,
+        stiffness: np.ndarray,
+        micro_strain: str = "linear",
+    ):
         mesh, self._points = points.mesh, points
         d = mesh.geometry.dim
         self._finite = {"small": False, "finite": True}[formulation]
         if self._finite and d == 3:
             raise ValueError("second gradient in 3D: use --formulation small")
-        self.unknown = fem.Function(points.element.second_gradient_space(mesh))
+        self.unknown = fem.Function(points.element.second_gradient_space(mesh, micro_strain))
         self.space, self.micro_space = (self.unknown.function_space.sub(k) for k in range(2))
         self.length = _cell_size(points)
         largest = np.abs(stiffness).max()

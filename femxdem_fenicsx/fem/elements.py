@@ -8,6 +8,9 @@ import ufl
 
 from . import _dolfinx
 
+#: What the micro-strain of a second-gradient continuum can be within a cell.
+MICRO_STRAINS = ("linear", "quadratic")
+
 
 @dataclass(frozen=True)
 class Element:
@@ -43,12 +46,16 @@ class Element:
         return _dolfinx.functionspace(mesh, self._displacement(mesh.geometry.dim))
 
     def _displacement(self, gdim: int):
-        if self.name == "Q8":
-            return _dolfinx.serendipity_element((gdim,))
-        return _dolfinx.lagrange_element(self.cell, self.degree, (gdim,))
+        return self._of_nodes((gdim,))
 
-    def check_second_gradient(self) -> None:
-        """Raise ValueError, with the elements to choose from, where there is no mixed space."""
+    def _of_nodes(self, shape: tuple[int, ...]):
+        """Tensors of that shape at the nodes."""
+        if self.name == "Q8":
+            return _dolfinx.serendipity_element(shape)
+        return _dolfinx.lagrange_element(self.cell, self.degree, shape)
+
+    def check_second_gradient(self, micro_strain: str = "linear") -> None:
+        """Raise ValueError, with what to choose from, where there is no mixed space."""
         if self.degree != 2:
             every = (next(iter(ELEMENTS[name].values())) for name in names(self.dim))
             known = ", ".join(other.name for other in every if other.degree == 2)
@@ -56,21 +63,33 @@ class Element:
                 f"element {self.name} has no mixed space for the second gradient: choose one of "
                 f"{known}"
             )
+        if micro_strain not in MICRO_STRAINS:
+            known = ", ".join(MICRO_STRAINS)
+            raise ValueError(f"unknown micro-strain '{micro_strain}'; choose from {known}")
+        if micro_strain == "quadratic" and self.cell != "quadrilateral":
+            raise ValueError(f"a quadratic micro-strain needs element Q8 or Q9, not {self.name}")
 
-    def second_gradient_space(self, mesh):
+    def second_gradient_space(self, mesh, micro_strain: str = "linear"):
         """Space of (u, nu, lambda): this element's u, linear nu, lambda constant in each cell.
 
         nu and lambda are (d, d) tensors (Desrues section 4.3). On triangles and tetrahedra lambda
         is linear and continuous: a constant one is not stable there (docs/second-gradient.md).
 
+        Args:
+            mesh: made for this element.
+            micro_strain: "linear", or "quadratic": each component of nu is then in the space of a
+                component of u, which follows a band that is few elements wide better.
+
         Raises:
-            ValueError: an element of degree one, which has no space that is stable.
+            ValueError: an element of degree one, which has no space that is stable, an unknown
+                micro-strain, and a quadratic one on other cells than quadrilaterals.
         """
-        self.check_second_gradient()
+        self.check_second_gradient(micro_strain)
         d = mesh.geometry.dim
-        micro = _dolfinx.lagrange_element(self.cell, 1, (d, d))
+        linear = _dolfinx.lagrange_element(self.cell, 1, (d, d))
+        micro = linear if micro_strain == "linear" else self._of_nodes((d, d))
         boxes = self.cell in ("quadrilateral", "hexahedron")
-        multiplier = _dolfinx.discontinuous_element(self.cell, (d, d)) if boxes else micro
+        multiplier = _dolfinx.discontinuous_element(self.cell, (d, d)) if boxes else linear
         mixed = _dolfinx.mixed_element([self._displacement(d), micro, multiplier])
         return _dolfinx.functionspace(mesh, mixed)
 

@@ -287,6 +287,15 @@ BAD_INPUT = {
     "unknown gradient": (("--gradient", "third"), "unknown gradient 'third'; choose from first"),
     "second gradient without D": (("--gradient", "second"), "needs --second-gradient-modulus"),
     "D without second gradient": (("--second-gradient-modulus", "1"), "needs --gradient second"),
+    "micro-strain alone": (("--micro-strain", "linear"), "--micro-strain needs --gradient second"),
+    "unknown micro-strain": (
+        (*SECOND, "1", "--element", "Q8", "--micro-strain", "cubic"),
+        "unknown micro-strain 'cubic'; choose from linear, quadratic",
+    ),
+    "quadratic micro-strain of triangles": (
+        (*SECOND, "1", "--element", "T6", "--micro-strain", "quadratic"),
+        "needs element Q8 or Q9, not T6",
+    ),
     "negative D": ((*SECOND, "-1", "--element", "Q8"), "D = -1.0 N: it must be positive"),
     "D of zero": ((*SECOND, "0", "--element", "Q8"), "use --gradient first"),
     "no mixed space": ((*SECOND, "1", "--element", "Q4"), "choose one of Q8, Q9, T6"),

@@ -27,6 +27,7 @@ class Layer:
         cells: along each axis.
         width: m.
         name: of the element.
+        micro_strain: "linear" or "quadratic".
         bent: whether du_x/dy at the plates is free, else zero.
         double_force: at the upper plate, N/m, along x; None for none.
         tolerance: on FNORM/RNORM.
@@ -40,6 +41,7 @@ class Layer:
         width: float = 0.5,
         *,
         name: str = "Q8",
+        micro_strain: str = "linear",
         bent: bool = True,
         double_force: float | None = None,
         tolerance: float = 1e-10,
@@ -56,7 +58,7 @@ class Layer:
         self.area = width**up
         self.points = QuadraturePoints(self.mesh, kind)
         self.law = make_law(self.points)
-        self.medium = medium = SecondGradient(self.points, "small", stiffness)
+        self.medium = medium = SecondGradient(self.points, "small", stiffness, micro_strain)
         operator = ExternalOperator(medium.F, self.law, self.points, 0.5, medium.states)
         double_forces = []
         if double_force is not None:

@@ -22,24 +22,27 @@ def by_number(points) -> np.ndarray:
     return 0.02 * (1 + 0.3 * np.sin(1.7 * points.index))
 
 
-#: Element, modulus of the second gradient, formulation, cells. Of one cell, a rank has none.
+#: Element, modulus of the second gradient, formulation, cells, micro-strain. Of one cell, a rank
+#: has none.
 CASES = [
-    *((name, None, formulation, None) for name in ("Q4", "Q8", "T6", "H8", "T10")
+    *((name, None, formulation, None, "linear") for name in ("Q4", "Q8", "T6", "H8", "T10")
       for formulation in ("small", "finite")),
-    ("Q8", 0.5, "finite", None), ("T6", 0.5, "small", None),
-    ("Q4", None, "small", (1, 1)), ("Q8", 0.5, "finite", (1, 1)),
+    ("Q8", 0.5, "finite", None, "linear"), ("T6", 0.5, "small", None, "linear"),
+    ("Q8", 0.5, "small", None, "quadratic"),
+    ("Q4", None, "small", (1, 1), "linear"), ("Q8", 0.5, "finite", (1, 1), "linear"),
 ]  # fmt: skip
 
 
 def numbers() -> dict:
     found = {}
-    for name, modulus, formulation, cells in CASES:
+    for name, modulus, formulation, cells, micro_strain in CASES:
         dim = element(name).dim
         specimen = Specimen(
             lambda points, dim=dim: Softening(points.size, 100.0, 0.3, by_number(points), dim),
             name=name,
             formulation=formulation,
             modulus=modulus,
+            micro_strain=micro_strain,
             cells=cells,
             rough=True,
             tolerance=1e-13,
@@ -55,7 +58,7 @@ def numbers() -> dict:
         )
         x = specimen.points.coordinates()
         total = COMM.allreduce((specimen.points.index[:, None] * x).sum(axis=0))
-        case = f"{name} {formulation} {modulus} {cells}"
+        case = f"{name} {formulation} {modulus} {cells} {micro_strain}"
         found[case] = [*np.ravel(forces), *total, outcome.evaluations]
         if modulus is not None:
             squares = sum((state.values**2).sum() for state in specimen.operator.states)

@@ -36,6 +36,7 @@ class Specimen:
         name: str = "Q8",
         formulation: str = "finite",
         modulus: float | None = None,
+        micro_strain: str = "linear",
         cells: tuple[int, ...] | None = None,
         distortion: float | None = None,
         rough: bool = False,
@@ -64,7 +65,7 @@ class Specimen:
             self.medium = FirstGradient(self.points, formulation)
         else:
             stiffness = one_parameter(modulus, kind.dim)
-            self.medium = SecondGradient(self.points, formulation, stiffness)
+            self.medium = SecondGradient(self.points, formulation, stiffness, micro_strain)
         self.u = u = self.medium.unknown
         self.operator = ExternalOperator(
             self.medium.F, self.law, self.points, 0.5, self.medium.states

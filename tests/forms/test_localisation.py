@@ -91,13 +91,22 @@ def closed_form(modulus: float) -> float:
     return 2 * brentq(lambda y: strain(y) - half, 0.0, s)
 
 
-def width_of_band_in_layer(modulus: float, rows: int, strain: float) -> float:
+def width_of_band_in_layer(
+    modulus: float, rows: int, strain: float, micro_strain: str = "linear"
+) -> float:
     def law(points):
         y = points.coordinates()[:, 1] - 0.5
         peak = 0.01 / np.sqrt(2) * (1 - 0.03 * np.exp(-((y / 0.2) ** 2)))
         return LinearShearSoftening(points.size, 100.0, 0.3, peak, DUCTILITY)
 
-    layer = Layer(law, one_parameter(modulus), (3, rows), 3 / rows, tolerance=1e-6)
+    layer = Layer(
+        law,
+        one_parameter(modulus),
+        (3, rows),
+        3 / rows,
+        micro_strain=micro_strain,
+        tolerance=1e-6,
+    )
     stepping = LoadStepping(1e-3, 1e-5, looser_limit=0.0)
     outcome = walk(layer.problem, layer.shear, strain, stepping)
     assert not outcome.lost_controllability
@@ -119,3 +128,14 @@ def test_the_band_of_a_linearly_softening_layer_has_its_closed_form_and_goes_wit
     ]
     np.testing.assert_allclose(widths, [closed_form(modulus) for modulus in moduli], rtol=0.04)
     assert np.log10(widths[0] / widths[1]) == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_quadratic_micro_strain_follows_a_band_of_two_rows(petsc_options):
+    petsc_options("-femxdem_snes_type newtonls")
+    modulus = 0.0005 * SHEAR / DUCTILITY
+    linear, quadratic = (
+        width_of_band_in_layer(modulus, 32, 0.03, kind) / closed_form(modulus) - 1
+        for kind in ("linear", "quadratic")
+    )
+    assert abs(quadratic) < 0.02
+    assert abs(linear) > 0.08

@@ -34,7 +34,15 @@ class Patch:
     Then it has the body force and the double tractions on its boundary that belong to that.
     """
 
-    def __init__(self, name, formulation="small", law=LinearElastic, distortion=0.2, second=None):
+    def __init__(
+        self,
+        name,
+        formulation="small",
+        law=LinearElastic,
+        distortion=0.2,
+        second=None,
+        micro_strain="linear",
+    ):
         kind = element(name)
         self.d = d = kind.dim
         if d == 2:
@@ -45,7 +53,7 @@ class Patch:
             domain.geometry.x[:, 0] += 0.3 * domain.geometry.x[:, 1]
         self.points = QuadraturePoints(domain, kind)
         self.law = law(self.points.size, E, NU, dim=d)
-        self.medium = SecondGradient(self.points, formulation, one_parameter(D, d))
+        self.medium = SecondGradient(self.points, formulation, one_parameter(D, d), micro_strain)
         self.operator = ExternalOperator(
             self.medium.F, self.law, self.points, 0.5, self.medium.states
         )
@@ -101,9 +109,13 @@ def uniform(gradient):
 
 
 @pytest.mark.parametrize("formulation, law", FORMULATIONS)
-@pytest.mark.parametrize("name", ["Q8", "T6"])
-def test_uniform_strain_of_a_distorted_patch_has_no_double_stress(name, formulation, law):
-    patch = Patch(name, formulation, law)
+@pytest.mark.parametrize(
+    "name, micro_strain", [("Q8", "linear"), ("T6", "linear"), ("Q8", "quadratic")]
+)
+def test_uniform_strain_of_a_distorted_patch_has_no_double_stress(
+    name, micro_strain, formulation, law
+):
+    patch = Patch(name, formulation, law, micro_strain=micro_strain)
     step, deformation, before = GRADIENT[:2, :2], np.eye(2), patch.points.coordinates()
     for _ in range(2):  # the second step starts from the moved mesh
         patch.prescribe(uniform(step)[0])
@@ -154,10 +166,19 @@ def quadratic():
     return displacement, lambda x: np.einsum("ijk,kn->ijn", SECOND, x)
 
 
-@pytest.mark.parametrize("name, distortion", [("Q8", 0.0), ("T6", 0.2), ("Q9", 0.2)])
-def test_linear_strain_of_a_patch_has_a_constant_double_stress(name, distortion):
+@pytest.mark.parametrize(
+    "name, distortion, micro_strain",
+    [
+        ("Q8", 0.0, "linear"),
+        ("T6", 0.2, "linear"),
+        ("Q9", 0.2, "linear"),
+        ("Q8", 0.0, "quadratic"),
+        ("Q9", 0.2, "quadratic"),
+    ],
+)
+def test_linear_strain_of_a_patch_has_a_constant_double_stress(name, distortion, micro_strain):
     """Q8 holds all quadratic functions on parallelograms alone (Arnold, Boffi and Falk 2002)."""
-    patch = Patch(name, distortion=distortion, second=SECOND)
+    patch = Patch(name, distortion=distortion, second=SECOND, micro_strain=micro_strain)
     x = patch.points.coordinates()
     patch.prescribe(quadratic()[0])
     assert patch.problem.solve().converged
@@ -330,9 +351,20 @@ def test_a_constant_multiplier_on_triangles_and_a_linear_one_on_q8_do_not():
 
 @pytest.mark.parametrize("name", ["Q8", "Q9"])
 def test_periodic_sides_and_an_even_number_of_columns_leave_a_multiplier_that_nothing_feels(name):
-    odd, even = (constant(name, columns, layer=True) for columns in (3, 4))
+    odd, even = (constant(name, columns, sides="periodic") for columns in (3, 4))
     assert odd > 0.5
     assert even < 1e-6
+
+
+@pytest.mark.parametrize("name", ["Q8", "Q9"])
+@pytest.mark.parametrize("sides", ["free", "periodic"])
+def test_a_quadratic_micro_strain_feels_every_multiplier_between_two_plates(name, sides):
+    coarse, fine = (
+        constant(name, columns, sides=sides, micro_strain="quadratic") for columns in (4, 8)
+    )
+    assert fine > 0.75
+    assert fine > 0.95 * coarse
+    assert constant(name, 8, sides=sides) < 0.4  # a linear one does not
 
 
 # The solver and the state
