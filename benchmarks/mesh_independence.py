@@ -57,6 +57,7 @@ def main(comm: MPI.Comm) -> int:
     )
     parser.add_argument("--accuracy", help="(default: balanced, quick fast)")
     parser.add_argument("--path-following", default="indirect", help="none, crossing or indirect")
+    parser.add_argument("--micro-strain", default="linear", help="linear or quadratic")
     parser.add_argument("--output", type=Path, help="folder of runs  (default: results/...)")
     args = script.parse(parser, comm)
     grains = args.grains or (100 if args.quick else 400)
@@ -80,6 +81,7 @@ def main(comm: MPI.Comm) -> int:
         }
         if modulus is not None:
             options |= {"--gradient": "second", "--second-gradient-modulus": modulus}
+            options |= {"--micro-strain": args.micro_strain}
         words = [str(word) for option in options.items() for word in option]
         measured, signal = compress(comm, [*words, "--mesh", str(columns), str(2 * columns)])
         if signal:
@@ -202,6 +204,7 @@ def told(args: argparse.Namespace, run: Run, dem_seconds: float) -> dict:
         "elements": args.mesh[0] * args.mesh[1],
         "gradient": args.gradient,
         "D": args.second_gradient_modulus,
+        "micro_strain": args.micro_strain,
         "band_width": band and band["width"],
         "band": band,
         "iterations": run.outcome.iterations,
