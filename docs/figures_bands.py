@@ -17,11 +17,11 @@ RUNS = RESULTS / "mesh_independence_quick"
 #: Folder of a run, its title.
 MAPS = {
     "128_10.0": "128\nD = 10 N", "512_10.0": "512\nD = 10 N", "2048_10.0": "2048\nD = 10 N",
-    "512_3.2": "512\nD = 3.2 N", "512_1.0": "512\nD = 1 N",
-    "128_first": "128\nfirst",
+    "2048_3.2": "2048\nD = 3.2 N", "2048_1.0": "2048\nD = 1 N",
+    "128_first": "128\nfirst", "512_first": "512\nfirst",
 }  # fmt: skip
-#: Columns of elements and D of these runs; the quick mode has all but 32:10.
-CASES = ["8:10", "16:10", "32:10", "16:3.2", "16:1", "8:first"]
+#: Columns of elements and D of these runs.
+CASES = ["8:10", "16:10", "32:10", "32:3.2", "32:1", "8:first", "16:first"]
 COLOURS = dict(zip(("10.0", "first", "3.2", "1.0"), plotting.COLOURS[:4], strict=True))
 #: Of history.csv; and from which strain along it on a band is one.
 COLUMNS = ("axial_strain", "stress_ratio", "band_width", "band_strain")
@@ -31,14 +31,7 @@ STYLES = {"128": ":", "512": "-", "2048": "--"}
 
 def run_bands() -> None:
     """Corners of the deformed elements, deviatoric strain at the end, and stress, into one file."""
-    python(
-        "benchmarks/mesh_independence.py",
-        "--quick",
-        "--runs",
-        *CASES,
-        "--path-following",
-        "crossing",
-    )
+    python("benchmarks/mesh_independence.py", "--quick", "--runs", *CASES)
     kept = {}
     for name in MAPS:
         folder = RUNS / name
@@ -57,7 +50,7 @@ def draw_bands() -> None:
     kept = np.load(FIGURES / "bands.npz")
     figure = Figure((8.0, 5.6), layout="constrained")
     upper, lower = figure.subfigures(2, 1, height_ratios=[1, 1.2])
-    stress, width = lower.subplots(1, 2)
+    stress, width, scaled = lower.subplots(1, 3)
     for axes, (name, title) in zip(upper.subplots(1, len(MAPS)), MAPS.items(), strict=True):
         strain, corners = kept[f"{name}/strain"], kept[f"{name}/corners"]
         look = {"cmap": "viridis", "lw": 0.2, "ec": "face"}
@@ -74,10 +67,14 @@ def draw_bands() -> None:
         stress.plot(100 * axial, ratio, label=title.replace("\n", " elements, "), **look)
         formed = within > FORMED
         width.plot(100 * within[formed], 1e3 * across[formed], **look)
+        if elements == "2048":
+            root = np.sqrt(float(modulus))
+            scaled.plot(100 * within[formed], 1e3 * across[formed] / root, **look)
     stress.set(xlabel="axial strain (%), compression positive", ylabel="stress ratio")
     stress.legend(fontsize="x-small")
-    width.set(xlabel="deviatoric strain along the band (%)", ylabel="width of the band (mm)")
-    width.set_ylim(0, 30)
+    along = "deviatoric strain along the band (%)"
+    width.set(xlabel=along, ylabel="width of the band (mm)", ylim=(0, 30), xlim=(4, 25))
+    scaled.set(xlabel=along, ylabel="width / √D (mm/√N), 2048 elements", ylim=(0, 15), xlim=(4, 25))
     figure.savefig(FIGURES / "bands.png")
 
 
