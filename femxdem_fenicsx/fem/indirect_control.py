@@ -41,6 +41,9 @@ class IndirectControl:
         problem: behind an accepted step. Its load is displacements prescribed in proportion to it.
         size: largest increment of deviatoric strain in the first guess, the last increment scaled
             (eps_q, Guo-Zhao eq. 13); s is what the chosen point has there.
+
+    Raises:
+        InadmissibleDeformation: on all ranks, where the law cannot follow the first guess.
     """
 
     def __init__(self, problem: Problem, size: float):

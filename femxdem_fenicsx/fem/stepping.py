@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 
 from ..collective import Interrupted
+from ..law import InadmissibleDeformation
 from .convergence import Solution
 from .indirect_control import IndirectControl, largest
 from .path_following import Crossing, cross
@@ -247,7 +249,11 @@ def _solve(problem: Problem, set_load, end: float, stepping: LoadStepping, at: P
         set_load(at.load, at.load + size)
         return size, problem.solve(size)
     set_load(at.load, at.load + stepping.step)
-    with IndirectControl(problem, at.control):
+    try:
+        control = IndirectControl(problem, at.control)
+    except InadmissibleDeformation as error:  # the first guess goes further than the law can follow
+        return 0.0, Solution(False, str(error), 0, 0, math.inf)
+    with control:
         solution = problem.solve(stepping.step)
     return stepping.step * problem.balance.load_share(), solution
 

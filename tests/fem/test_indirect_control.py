@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from femxdem_fenicsx.fem.external_operator import ExternalOperator
 from femxdem_fenicsx.fem.indirect_control import IndirectControl, largest
 from femxdem_fenicsx.fem.stepping import LoadStepping, walk
+from femxdem_fenicsx.law import InadmissibleDeformation
 from tests.fem.snap_back import K0, PEAK, E, bar, resumed
 from tests.fem.specimen import WIDTH
 from tests.petsc import petsc_options  # noqa: F401
@@ -56,6 +58,22 @@ def test_the_load_leads_again_where_it_has_risen_above_the_place_where_it_was_lo
     led = [record.load for record in records[back[-1] + outcome.controlled - len(back) :]]
     assert outcome.controlled > len(back) > 5 and outcome.control == 0.0
     assert led[0] > outcome.lost_at and np.allclose(np.diff(led[:3]), STEPPING.smallest, rtol=1)
+
+
+def test_a_first_guess_that_goes_too_far_is_cut_as_an_iterate_would_be(monkeypatch):
+    refused, make = [], ExternalOperator._check
+
+    def check(operator, F):  # less than the steps that are tried
+        far = np.abs(F - np.eye(2)).max()
+        if far > 0.1 * K0:
+            refused.append(far)
+            raise InadmissibleDeformation("too far")
+        make(operator, F)
+
+    monkeypatch.setattr(ExternalOperator, "_check", check)
+    outcome, _, x = followed(1.2 * PEAK)
+    assert refused and outcome.load == 1.2 * PEAK and not outcome.lost_controllability
+    assert outcome.load == pytest.approx(closed_form(x[-1]), rel=3e-4)
 
 
 def test_newton_stays_on_the_branch_as_well(petsc_options):  # noqa: F811
