@@ -28,12 +28,16 @@ from femxdem_fenicsx.dem.files import save_packing  # noqa: E402
 from femxdem_fenicsx.fem.stepping import LoadStepping, StepRecord  # noqa: E402
 from femxdem_fenicsx.load_path import Run, Scene, follow  # noqa: E402
 
-#: Columns of elements, and D in N (None: first gradient).
-FULL = [(8, 10.0), (16, 10.0), (32, 10.0), (32, 3.2), (32, 1.0), (16, 3.2), (16, 1.0),
-        (8, None), (16, None), (32, None)]  # fmt: skip
-QUICK = [(8, 10.0), (16, 10.0), (16, 3.2), (16, 1.0), (8, None), (16, None)]
-#: Axial strain to reach: a wide band takes longer to strain as much as a narrow one.
-STRAIN = {10.0: 0.04, 3.2: 0.025, 1.0: 0.02, None: 0.0165}
+#: Columns of elements, D in N (None: first gradient), and the axial strain to reach: a wide band
+#: takes longer to strain as much as a narrow one.
+FULL = [
+    (8, 10.0, 0.04), (16, 10.0, 0.04), (32, 10.0, 0.04), (16, 3.2, 0.025), (32, 3.2, 0.025),
+    (16, 1.0, 0.02), (32, 1.0, 0.02), (8, None, 0.02), (16, None, 0.0165), (32, None, 0.0155),
+]  # fmt: skip
+QUICK = [
+    (8, 10.0, 0.04), (16, 10.0, 0.04), (16, 3.2, 0.025), (16, 1.0, 0.02),
+    (8, None, 0.02), (16, None, 0.0165),
+]  # fmt: skip
 SCENE = {"--element": "Q8", "--imperfection": 0.02, "--step": 5e-4, "--tolerance": 2e-2,
          "--looser-tolerance": 0.1, "--max-iterations": 12}  # fmt: skip
 #: Of a band, in history.csv; zero where there is none, and before this axial strain.
@@ -44,16 +48,13 @@ FORMING = 0.01
 def main(comm: MPI.Comm) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--grains", type=int, help="per point  (default: 400, quick 100)")
-    parser.add_argument(
-        "--strain", type=float, help="axial strain to reach  (default: 2 to 4 %%, as D is)"
-    )
     parser.add_argument("--quick", action="store_true", help="few grains, two meshes")
     parser.add_argument(
         "--runs",
         nargs="+",
-        type=columns_and_modulus,
-        metavar="COLUMNS:D",
-        help="these instead, as 32:10 or 16:first",
+        type=case,
+        metavar="COLUMNS:D:STRAIN",
+        help="these instead, as 32:10:0.04 or 16:first:0.02",
     )
     parser.add_argument("--accuracy", help="(default: balanced, quick fast)")
     parser.add_argument("--path-following", default="indirect", help="none, crossing or indirect")
@@ -65,16 +66,15 @@ def main(comm: MPI.Comm) -> int:
     folder = args.output or ROOT / "results" / f"mesh_independence_{mode}"
     packing = together(comm, packing_of, comm, folder / "packing.h5", grains)
     runs = []
-    for columns, modulus in args.runs or (QUICK if args.quick else FULL):
-        name = f"{2 * columns**2}_{'first' if modulus is None else modulus}"
-        path = folder / name / "run.json"
+    for columns, modulus, strain in args.runs or (QUICK if args.quick else FULL):
+        path = folder / name(2 * columns**2, modulus, args.micro_strain) / "run.json"
         if comm.bcast(path.exists()):
             runs.append(json.loads(path.read_text()))
             continue
         options = {
             **SCENE,
             "--packing": packing,
-            "--strain": args.strain or STRAIN.get(modulus, max(STRAIN.values())),
+            "--strain": strain,
             "--accuracy": args.accuracy or ("fast" if args.quick else "balanced"),
             "--path-following": args.path_following,
             "--output": path.parent,
@@ -103,10 +103,16 @@ def packing_of(comm: MPI.Comm, path: Path, grains: int) -> Path:
     return path
 
 
-def columns_and_modulus(word: str) -> tuple[int, float | None]:
-    """ "16:3.2" or "16:first"."""
-    columns, modulus = word.split(":")
-    return int(columns), None if modulus == "first" else float(modulus)
+def case(word: str) -> tuple[int, float | None, float]:
+    """ "16:3.2:0.025" or "16:first:0.02"."""
+    columns, modulus, strain = word.split(":")
+    return int(columns), None if modulus == "first" else float(modulus), float(strain)
+
+
+def name(elements: int, modulus: float | None, micro_strain: str | None) -> str:
+    """Of a run's folder."""
+    quadratic = "_quadratic" if modulus and micro_strain == "quadratic" else ""
+    return f"{elements}_{modulus or 'first'}{quadratic}"
 
 
 def power(folder: Path, runs: list[dict]) -> dict | None:
@@ -120,8 +126,12 @@ def power(folder: Path, runs: list[dict]) -> dict | None:
     if len(finest) < 2:
         return None
     histories = [
-        np.genfromtxt(folder / f"{run['elements']}_{D}" / "history.csv", delimiter=",", names=True)
-        for D, run in finest.items()
+        np.genfromtxt(
+            folder / name(run["elements"], run["D"], run["micro_strain"]) / "history.csv",
+            delimiter=",",
+            names=True,
+        )
+        for run in finest.values()
     ]
     histories = [rows[rows["band_width"] > 0] for rows in histories]
     found = {"D": list(finest)}

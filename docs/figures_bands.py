@@ -20,8 +20,9 @@ MAPS = {
     "2048_3.2": "2048\nD = 3.2 N", "2048_1.0": "2048\nD = 1 N",
     "128_first": "128\nfirst", "512_first": "512\nfirst",
 }  # fmt: skip
-#: Columns of elements and D of these runs.
-CASES = ["8:10", "16:10", "32:10", "32:3.2", "32:1", "8:first", "16:first"]
+#: Columns of elements, D and axial strain at the end of these runs.
+CASES = ["8:10:0.04", "16:10:0.04", "32:10:0.04", "32:3.2:0.025", "32:1:0.025",
+         "8:first:0.02", "16:first:0.0165"]  # fmt: skip
 COLOURS = dict(zip(("10.0", "first", "3.2", "1.0"), plotting.COLOURS[:4], strict=True))
 #: Of history.csv; and from which strain along it on a band is one.
 COLUMNS = ("axial_strain", "stress_ratio", "band_width", "band_strain")
