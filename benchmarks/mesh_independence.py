@@ -127,7 +127,7 @@ def power(folder: Path, runs: list[dict]) -> dict | None:
         return None
     histories = [
         np.genfromtxt(
-            folder / name(run["elements"], run["D"], run["micro_strain"]) / "history.csv",
+            folder / name(run["elements"], run["D"], run.get("micro_strain")) / "history.csv",
             delimiter=",",
             names=True,
         )
