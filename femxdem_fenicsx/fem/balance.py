@@ -44,7 +44,7 @@ class Balance:
         prescribed: these values, as `read_prescribed` found them.
         viscosity: adds viscous forces; None for none.
         forces: internal minus external nodal forces at the last evaluated u, N per m in 2D.
-        now: the last evaluated iterate; None where u = 0 was none, and where the law refused it.
+        now: the last evaluated iterate; None before the first, and where the law refused it.
         before: the one before it.
         best: the one with the smallest ratio since `restart`.
 

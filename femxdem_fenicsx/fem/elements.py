@@ -43,10 +43,7 @@ class Element:
 
     def space(self, mesh):
         """Space of displacements (m) on a mesh made for this element."""
-        return _dolfinx.functionspace(mesh, self._displacement(mesh.geometry.dim))
-
-    def _displacement(self, gdim: int):
-        return self._of_nodes((gdim,))
+        return _dolfinx.functionspace(mesh, self._of_nodes((mesh.geometry.dim,)))
 
     def _of_nodes(self, shape: tuple[int, ...]):
         """Tensors of that shape at the nodes."""
@@ -90,7 +87,7 @@ class Element:
         micro = linear if micro_strain == "linear" else self._of_nodes((d, d))
         boxes = self.cell in ("quadrilateral", "hexahedron")
         multiplier = _dolfinx.discontinuous_element(self.cell, (d, d)) if boxes else linear
-        mixed = _dolfinx.mixed_element([self._displacement(d), micro, multiplier])
+        mixed = _dolfinx.mixed_element([self._of_nodes((d,)), micro, multiplier])
         return _dolfinx.functionspace(mesh, mixed)
 
     def dx(self, mesh) -> ufl.Measure:
