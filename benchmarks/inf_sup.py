@@ -58,9 +58,9 @@ def constant(
         domain = box(MPI.COMM_SELF, (1.0,) * 3, (cells,) * 3, kind, distortion)
     family, degree = MULTIPLIERS[multiplier]
     Lambda = _space(domain, family, kind.cell, degree, (d,))
-    U = _dolfinx.functionspace(domain, kind._of_nodes(()))
+    U = _dolfinx.functionspace(domain, kind.nodal(()))
     if micro_strain == "quadratic":
-        N = _dolfinx.functionspace(domain, kind._of_nodes((d,)))
+        N = _dolfinx.functionspace(domain, kind.nodal((d,)))
     else:
         N = _space(domain, "Lagrange", kind.cell, 1, (d,))
     coarse = _felt(U, N, Lambda, sides)

@@ -43,10 +43,10 @@ class Element:
 
     def space(self, mesh):
         """Space of displacements (m) on a mesh made for this element."""
-        return _dolfinx.functionspace(mesh, self._of_nodes((mesh.geometry.dim,)))
+        return _dolfinx.functionspace(mesh, self.nodal((mesh.geometry.dim,)))
 
-    def _of_nodes(self, shape: tuple[int, ...]):
-        """Tensors of that shape at the nodes."""
+    def nodal(self, shape: tuple[int, ...]):
+        """Finite element of tensors of that shape, () for scalars, with its nodes."""
         if self.name == "Q8":
             return _dolfinx.serendipity_element(shape)
         return _dolfinx.lagrange_element(self.cell, self.degree, shape)
@@ -84,10 +84,10 @@ class Element:
         self.check_second_gradient(micro_strain)
         d = mesh.geometry.dim
         linear = _dolfinx.lagrange_element(self.cell, 1, (d, d))
-        micro = linear if micro_strain == "linear" else self._of_nodes((d, d))
+        micro = linear if micro_strain == "linear" else self.nodal((d, d))
         boxes = self.cell in ("quadrilateral", "hexahedron")
         multiplier = _dolfinx.discontinuous_element(self.cell, (d, d)) if boxes else linear
-        mixed = _dolfinx.mixed_element([self._of_nodes((d,)), micro, multiplier])
+        mixed = _dolfinx.mixed_element([self.nodal((d,)), micro, multiplier])
         return _dolfinx.functionspace(mesh, mixed)
 
     def dx(self, mesh) -> ufl.Measure:
