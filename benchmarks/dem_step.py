@@ -33,8 +33,14 @@ def sheared(packing: Packing) -> tuple[dynamics.Workspace, float, np.ndarray]:
     work = workspace_of(packing)
     dt = settings(packing, PRESETS["balanced"], 1e5).time_step
     gradient = np.diag(EXTENSION[packing.dim])
-    dynamics.advance(round(0.01 / 0.5 / dt), dt, gradient, 0.3, packing.material, work)
+    advance(packing, work, round(0.01 / 0.5 / dt), dt, gradient)
     return work, dt, gradient
+
+
+def advance(packing: Packing, work: dynamics.Workspace, steps: int, dt: float, gradient) -> None:
+    """Take that many steps."""
+    material = packing.material
+    dynamics.advance(steps, dt, gradient, 0.3, material, work, material.inverse_radius)
 
 
 def row(case: str, packing: Packing, repeats: int, steps: int) -> dict:
@@ -43,12 +49,13 @@ def row(case: str, packing: Packing, repeats: int, steps: int) -> dict:
     fastest = np.inf
     for _ in range(repeats):
         started = process_time()
-        dynamics.advance(steps, dt, 0.1 * gradient, 0.3, packing.material, work)
+        advance(packing, work, steps, dt, 0.1 * gradient)
         fastest = min(fastest, process_time() - started)
     stress, fabric = np.zeros((2, packing.dim, packing.dim))
     contacts, _ = measure(
-        work.motion, work.pairs, packing.material, packing.thickness, stress, fabric
-    )
+        work.motion, work.pairs, packing.law.elasticity, packing.material.cohesion, None,
+        packing.thickness, stress, fabric,
+    )  # fmt: skip
     return {
         "case": case,
         "us_per_step": 1e6 * fastest / steps,

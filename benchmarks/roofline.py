@@ -47,18 +47,15 @@ def fastest(call, repeats: int) -> float:
 
 
 def arguments_of(work, material, dt: float, gradient: np.ndarray) -> dict[str, tuple]:
-    """What `dynamics.march` passes to each loop, found by letting it call ones that listen."""
+    """What `dynamics.advance` passes to each loop, found by letting it call ones that listen."""
     module = disks if material.inverse_radius is None else spheres
     heard = {}
     originals = {name: getattr(module, name) for name in LOOPS}
-    out_of_line = dynamics.stays_out_of_line  # a promise to the compiler, for which there is none
     try:
-        dynamics.stays_out_of_line = lambda: None
         for name in LOOPS:
             setattr(module, name, lambda *given, name=name: heard.setdefault(name, given))
-        dynamics.march.py_func(1, dt, gradient, 0.3, material, work, material.inverse_radius)
+        dynamics.advance.py_func(1, dt, gradient, 0.3, material, work, material.inverse_radius)
     finally:
-        dynamics.stays_out_of_line = out_of_line
         for name, original in originals.items():
             setattr(module, name, original)
     return heard

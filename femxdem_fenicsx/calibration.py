@@ -12,6 +12,7 @@ from scipy.optimize import lsq_linear
 from .dem.contacts import LinearContact
 from .dem.element_tests import drained_compression
 from .dem.preparation import NotReached, random_packing
+from .dem.reproducible import exp, log, rounded
 from .dem.strength import Strength
 from .laboratory import Specimen, finish, specimen
 
@@ -179,8 +180,8 @@ def calibrate(
         raise ValueError(
             f"calibration starts with a positive modulus and a friction in {FRICTIONS}, got {start}"
         )
-    low = np.log([1 / RANGE, FRICTIONS[0] / friction])  # over the start, as all places
-    high = np.log([RANGE, FRICTIONS[1] / friction])
+    low = log(np.array([1 / RANGE, FRICTIONS[0] / friction]))  # over the start, as all places
+    high = log(np.array([RANGE, FRICTIONS[1] / friction]))
     places, errors, answers = [], [], []
     neighbours = STEP * np.array([[0, 0], [1, 0], [0, 1], [-1, -1]])
     for number in range(max(most, len(neighbours))):
@@ -188,7 +189,7 @@ def calibrate(
             place = np.clip(neighbours[number], low, high)
         else:
             place = _next(np.array(places), np.array(errors), low, high)
-        answers.append(answer(*(float(value) for value in start * np.exp(place))))
+        answers.append(answer(*(float(value) for value in start * exp(place))))
         progress(answers[-1])
         places.append(place)
         errors.append(_errors(answers[-1], target, tolerance))
@@ -212,12 +213,12 @@ def _next(places: np.ndarray, errors: np.ndarray, low: np.ndarray, high: np.ndar
     fit, *_ = np.linalg.lstsq(weight * plane, weight * errors, rcond=None)
     near_low, near_high = np.maximum(low - best, -FURTHEST), np.minimum(high - best, FURTHEST)
     move = lsq_linear(fit[1:].T, -fit[0], (near_low, near_high)).x
-    return best + move
+    return best + rounded(move)
 
 
 def _errors(found: Answer, target: Target, tolerance: tuple[float, float]) -> np.ndarray:
     """(2,) off the target, over the tolerance."""
     return np.array([
-        np.log(found.young_modulus / target.young_modulus) / tolerance[0],
+        log(found.young_modulus / target.young_modulus) / tolerance[0],
         (found.friction_angle - target.friction_angle) / tolerance[1],
     ])  # fmt: skip

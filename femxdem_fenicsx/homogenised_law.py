@@ -10,17 +10,14 @@ from .dem.accuracy import PRESETS, Accuracy
 from .dem.homogenisation import fabric_anisotropy
 from .dem.loading import FAILED_CONTACTS_PER_GRAIN, Outcome
 from .dem.packing import Packing, PackingBatch
+from .dem.reproducible import determinant, inverse, product
 from .dem.response import Response
+from .dem.strength import deviatoric_strain
 from .dem.tangents import operator
 from .law import InadmissibleDeformation
 
 #: Stiffness that a failed packing lends the global matrix, as a share of the initial one.
 FAILED_STIFFNESS = 1e-2
-#: Strains are rounded to multiples of this before the grains see them. It is far below what they
-#: can resolve, and far above the rounding of the linear solver, which would otherwise be amplified
-#: by the grains until 1 and 2 ranks part (docs/accuracy.md).
-STRAIN_QUANTUM = 2.0**-30
-
 #: What is zero in the state of a program that did not know it.
 NOT_IN_THE_FIRST_FORMAT = ("outcome/inertial_number", "outcome/vibration")
 
@@ -155,7 +152,7 @@ class HomogenisedLaw:
     def evaluate(self, F: np.ndarray) -> np.ndarray:
         """Stress (n, d, d), Pa, at F (n, d, d) relative to the committed state.
 
-        F - I is rounded to multiples of `STRAIN_QUANTUM`.
+        F - I is rounded to multiples of `Response.strain_quantum`.
 
         Raises InadmissibleDeformation for an F that is no deformation or lets a packing collapse.
         """
@@ -163,7 +160,7 @@ class HomogenisedLaw:
         if np.shape(F) != shape:
             raise ValueError(f"F has shape {np.shape(F)}, expected {shape}")
         started = perf_counter()
-        F = self._rounded(F)
+        F = self.response.rounded(F)
         try:
             outcome = self.response.deform(F)
         except (ValueError, FloatingPointError) as error:
@@ -172,16 +169,13 @@ class HomogenisedLaw:
         self.tally.add(outcome, perf_counter() - started)
         return outcome.stress.copy()
 
-    def _rounded(self, F: np.ndarray) -> np.ndarray:
-        return self._identity + np.round((F - self._identity) / STRAIN_QUANTUM) * STRAIN_QUANTUM
-
     def expected_cost(self, F: np.ndarray) -> np.ndarray:
         """Steps of the DEM that each packing will take at F, (n,); only the hold's are a guess.
 
         Raises InadmissibleDeformation for an F that is no deformation.
         """
         try:
-            return self.response.expected_steps(self._rounded(F))
+            return self.response.expected_steps(F)
         except ValueError as error:
             raise InadmissibleDeformation(str(error)) from None
 
@@ -195,7 +189,7 @@ class HomogenisedLaw:
         identity = np.einsum("ik,jl->ijkl", self._identity, self._identity)
         C[self._failed(self.response.outcome)] += self._failed_stiffness * identity
         self.tally.tangent_seconds += perf_counter() - started
-        return np.einsum("nijkl,nml->nijkm", C, np.linalg.inv(self._F))
+        return np.einsum("nijkl,nml->nijkm", C, inverse(self._F))
 
     def commit(self) -> None:
         """The trial becomes the state."""
@@ -309,20 +303,18 @@ class HomogenisedLaw:
     def deformation(self) -> np.ndarray:
         """Committed deformation gradient (n, d, d) since the beginning."""
         state = self.response.committed
-        return state.box @ np.linalg.inv(state.turns) @ np.linalg.inv(self._initial_box)
+        box = product(state.box, inverse(state.turns).round())
+        return product(box, inverse(self._initial_box))
 
     @property
     def deviatoric_strain(self) -> np.ndarray:
         """eps_q = sqrt(2 e : e) (n,), e the deviator of the logarithmic strain (GZ eq. 13)."""
-        F = self.deformation
-        principal = 0.5 * np.log(np.linalg.eigvalsh(F @ np.swapaxes(F, 1, 2)))
-        deviator = principal - principal.mean(1, keepdims=True)
-        return np.sqrt(2.0 * (deviator**2).sum(1))
+        return deviatoric_strain(self.deformation)
 
     @property
     def void_ratio(self) -> np.ndarray:
         """(n,)."""
-        return (1.0 + self._initial_void_ratio) * np.linalg.det(self.deformation) - 1.0
+        return (1.0 + self._initial_void_ratio) * determinant(self.deformation) - 1.0
 
     @property
     def coordination_number(self) -> np.ndarray:

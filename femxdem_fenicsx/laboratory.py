@@ -13,6 +13,7 @@ from .dem.homogenisation import fabric_anisotropy
 from .dem.mixed_control import ElementState, Servo
 from .dem.packing import Packing
 from .dem.preparation import NotReached, check_stiffness
+from .dem.reproducible import determinant, inverse, log, product
 from .dem.strength import SECANT, Strength, deviatoric_strain, friction_angle, strength
 from .homogenised_law import HomogenisedLaw
 
@@ -79,7 +80,7 @@ class Specimen:
     def _row(self, state: ElementState) -> dict[str, float]:
         """Numbers of a state: normal components compression positive, shear as F_ij and sigma_ij;
         strain since the beginning of the test."""
-        F = state.deformation @ np.linalg.inv(self.initial.deformation)
+        F = product(state.deformation, inverse(self.initial.deformation))
         stress, dim = state.stress, len(F)
         row: dict[str, float] = {}
         for i in range(dim):
@@ -92,7 +93,7 @@ class Specimen:
             row[f"tau_{AXES[i]}{AXES[j]}_Pa"] = float(stress[i, j])
         outcome = self.law.response.committed_outcome
         return row | {
-            "volumetric_strain": float(np.linalg.det(F)) - 1.0,
+            "volumetric_strain": float(determinant(F)) - 1.0,
             "deviatoric_strain": float(deviatoric_strain(F)),
             "pressure_Pa": state.pressure,
             "friction_angle_deg": float(friction_angle(stress)),
@@ -131,7 +132,7 @@ def specimen(
     servo = Servo(law, tolerance * wanted)
     made = Specimen(packing, law, servo)
     if abs(there - wanted) > SAME * wanted:
-        increments = max(int(np.ceil(10 * abs(np.log(wanted / there)))), 5)
+        increments = max(int(np.ceil(10 * abs(log(wanted / there)))), 5)
         made.follow(isotropic_compression(servo, wanted, increments))
         made.start()
     return made

@@ -16,6 +16,7 @@ from ..dem.homogenisation import stress
 from ..dem.lattices import hexagonal_packing
 from ..dem.packing import Packing
 from ..dem.preparation import NotReached, library
+from ..dem.reproducible import inverse, product
 from ..dem.structure import structure_of
 from . import common
 
@@ -218,7 +219,7 @@ def convert(args: argparse.Namespace) -> int:
 
 
 def _write_table(path: Path, packing: Packing) -> None:
-    places = packing.positions @ packing.box.T
+    places = product(packing.positions, packing.box.T)
     names = (*(f"{axis}_m" for axis in "xyz"[: packing.dim]), "radius_m")
     values = np.column_stack([places, packing.radii]).tolist()
     writing.write_csv(path, names, [dict(zip(names, row, strict=True)) for row in values])
@@ -241,7 +242,7 @@ def _read_table(args: argparse.Namespace) -> Packing:
     if len(values) == 0:
         raise ValueError(f"{args.file}: the table has no grains")
     box = np.diag(args.box)
-    positions = values[:, :dim] @ np.linalg.inv(box).T
+    positions = product(values[:, :dim], inverse(box).T)
     try:
         return Packing(
             box, positions, values[:, dim], contact_arguments.contact_law_for(args),

@@ -18,12 +18,9 @@ from numba.core import types
 from numba.core.caching import FunctionCache
 from numba.extending import intrinsic
 
-_compile = njit(
-    nogil=True,
-    cache=True,
-    error_model="numpy",
-    fastmath={"reassoc", "contract", "arcp", "nsz"},
-)
+#: Strict IEEE arithmetic: numba's default, without `fastmath`. Sums keep their order and nothing is
+#: contracted, so that a kernel gives the same bits on every CPU, cached or not, inlined or not.
+_compile = njit(nogil=True, cache=True, error_model="numpy")
 
 
 @cache
@@ -115,10 +112,15 @@ class KernelCache(FunctionCache):
 
 
 def kernel(function: Callable):
-    """Compile a kernel: no GIL, cached on disk, sums may be reordered, NaN stays NaN."""
+    """Compile a kernel: no GIL, cached on disk, strict IEEE arithmetic."""
     compiled = _compile(function)
     compiled._cache = KernelCache(function)
     return compiled
+
+
+#: A part of kernels, copied into them as if it were written there: it costs no compilation of its
+#: own, where a kernel that calls another is compiled together with it once more.
+part_of_kernels = njit(inline="always")
 
 
 @intrinsic
@@ -131,20 +133,6 @@ def arrays_do_not_overlap(typingctx):
             if isinstance(argument.type, ir.PointerType):
                 argument.add_attribute("noalias")
         function.attributes.add("noinline")  # inlined, the promise would be lost
-        return context.get_dummy_value()
-
-    return types.void(), generate
-
-
-@intrinsic
-def stays_out_of_line(typingctx):
-    """First line of a kernel: never copy it into its callers.
-
-    It is then compiled once, and gives the same bits wherever it is called from.
-    """
-
-    def generate(context, builder, signature, args):
-        builder.function.attributes.add("noinline")
         return context.get_dummy_value()
 
     return types.void(), generate

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from . import disks, neighbours, spheres
-from .aliasing import kernel, stays_out_of_line
+from .aliasing import kernel, part_of_kernels
 from .small import product
 
 #: Most steps between two looks at how far the grains have moved.
@@ -89,12 +89,14 @@ def workspace(grains: int, dim: int, capacity: int, viscous: bool, memory: int =
 
 
 @kernel
-def start(material, work):
-    """Build the pair list of the workspace's motion and give it the workspace's history."""
-    stays_out_of_line()
+def start(work, radius, inverse_mass, law, viscosity, skin):
+    """Build the pair list of the workspace's motion and give it the workspace's history.
+
+    Of a `Material` these are all that it takes: so it is compiled once for any friction.
+    """
     count = neighbours.build(
-        work.motion.box, work.motion.position, material.radius, material.inverse_mass,
-        material.law, material.viscosity, material.skin, work.pairs, work.grid,
+        work.motion.box, work.motion.position, radius, inverse_mass, law, viscosity, skin,
+        work.pairs, work.grid,
     )  # fmt: skip
     if count < 0:
         return NO_ROOM
@@ -103,18 +105,12 @@ def start(material, work):
 
 
 @kernel
-def advance(steps, dt, gradient, damping, material, work):
+def advance(steps, dt, gradient, damping, material, work, inverse_radius):
     """Take that many steps of length dt while the box moves with velocity gradient L (d, d), 1/s.
 
+    `inverse_radius` is the material's: compiled for disks where it is None, otherwise for spheres.
     Returns OK, or NO_ROOM where the pair list is too small for the motion.
     """
-    return march(steps, dt, gradient, damping, material, work, material.inverse_radius)
-
-
-@kernel
-def march(steps, dt, gradient, damping, material, work, inverse_radius):
-    """`advance`, compiled for disks where `inverse_radius` is None and for spheres otherwise."""
-    stays_out_of_line()
     motion, forces, pairs = work.motion, work.forces, work.pairs
     box, x, v, w = motion.box, motion.position, motion.velocity, motion.rim_velocity
     growth = step_growth(gradient, dt)
@@ -125,7 +121,11 @@ def march(steps, dt, gradient, damping, material, work, inverse_radius):
             used = neighbours.outdated(box, x, longest_reach, material.skin, pairs)
             if used > 0.5:
                 neighbours.remember(pairs, work.history)
-                if start(material, work) != OK:
+                status = start(
+                    work, material.radius, material.inverse_mass, material.law,
+                    material.viscosity, material.skin,
+                )  # fmt: skip
+                if status != OK:
                     return NO_ROOM
                 used = 0.0
             slack = (1.0 - used) * material.skin
@@ -173,7 +173,7 @@ def march(steps, dt, gradient, damping, material, work, inverse_radius):
     return OK
 
 
-@kernel
+@part_of_kernels
 def blind_run(velocity, gradient, reach, dt, slack):
     """Steps that may pass until grains can have moved by half of the slack (m) left in the skin."""
     fastest = 0.0
@@ -191,7 +191,6 @@ def blind_run(velocity, gradient, reach, dt, slack):
 @kernel
 def step_growth(gradient, dt):
     """exp(L dt) - I for one step, (d, d)."""
-    stays_out_of_line()
     dim = gradient.shape[0]
     total, term = np.zeros((dim, dim)), np.eye(dim)
     for k in range(1, 12):
@@ -203,7 +202,7 @@ def step_growth(gradient, dt):
     return total
 
 
-@kernel
+@part_of_kernels
 def deform_box(box, growth):
     """h <- h + growth h, without a temporary array: this is called every step."""
     for b in range(box.shape[1]):
@@ -220,7 +219,6 @@ def deform_box(box, growth):
 @kernel
 def unbalance(work):
     """(largest net force on a grain, largest contact force) of the last step, N; eq. 19."""
-    stays_out_of_line()
     grain, pair = work.forces.grain, work.forces.pair
     dim = pair.shape[0]
     net = contact = 0.0

@@ -10,6 +10,7 @@ import numpy as np
 
 from .load_path import Leg
 from .mixed_control import ElementState, Servo, StressCondition, increment
+from .reproducible import geometric, product
 
 __all__ = [
     "ElementState",
@@ -76,7 +77,8 @@ def constant_volume_compression(
     d = len(start)
     for F in _targets(servo, strain, step, fine):
         height = 1 - F[-1, -1]
-        yield servo.to(np.diag([height ** (-1 / (d - 1))] * (d - 1) + [height]) @ start)
+        width = 1 / height if d == 2 else 1 / np.sqrt(height)
+        yield servo.to(product(np.diag([width] * (d - 1) + [height]), start))
 
 
 def oedometric_compression(
@@ -98,7 +100,7 @@ def isotropic_compression(
     """
     d = servo.law.dim
     first = max(servo.pressure, 1e-3 * pressure)
-    for p in np.geomspace(first, pressure, increments + 1)[1:]:
+    for p in geometric(first, pressure, increments + 1)[1:]:
         condition = StressCondition.components(np.eye(d, dtype=bool), -p * np.eye(d))
         yield servo.to(servo.deformation, condition)
 

@@ -6,6 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
+from . import reproducible
+
 
 class GrainSizes(Protocol):
     """A distribution that radii can be drawn from."""
@@ -111,7 +113,7 @@ class SieveCurve:
         """Radii (grains,), m; see `_spread`."""
         bounds = np.array(self.diameters) / 2
         # straight over ln r: the density of the volume is share / (r ln(b / a)) between a and b
-        volume = np.diff(self.passing) / np.diff(np.log(bounds))
+        volume = np.diff(self.passing) / np.diff(reproducible.log(bounds))
         return _spread(bounds, volume, -1.0 - dim, grains, rng)
 
 
@@ -160,11 +162,12 @@ def _spread(
     exponent = power + 1.0
     if bounds[0] == bounds[-1]:
         return np.full(grains, bounds[0])
-    powers = bounds**exponent
+    powers = reproducible.power(bounds, exponent)
     numbers = np.append(0.0, np.cumsum(weights * np.diff(powers) / exponent))
     wanted = numbers[-1] * (np.arange(grains) + rng.uniform(size=grains)) / grains
     k = np.clip(np.searchsorted(numbers, wanted, "right") - 1, 0, len(weights) - 1)
-    radii = (powers[k] + exponent * (wanted - numbers[k]) / weights[k]) ** (1.0 / exponent)
+    radii = powers[k] + exponent * (wanted - numbers[k]) / weights[k]
+    radii = reproducible.power(radii, 1.0 / exponent)
     return rng.permutation(np.clip(radii, bounds[0], bounds[-1]))
 
 

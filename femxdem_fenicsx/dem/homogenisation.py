@@ -1,11 +1,12 @@
 """From grains to continuum: contacts, stress, fabric, coordination number."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from . import neighbours
-from .aliasing import kernel, stays_out_of_line
+from .aliasing import kernel
 from .contacts.interface import (
     attraction,
     elastic_force,
@@ -14,6 +15,7 @@ from .contacts.interface import (
     strained_overlap,
 )
 from .packing import PAIRS_PER_GRAIN, Packing
+from .reproducible import product
 from .small import determinant
 
 
@@ -56,9 +58,8 @@ def touching(packing: Packing) -> Contacts:
     if count < 0:
         raise ValueError("touching: far more contacts than grains; the packing is not physical")
     i, j = pairs.i[:count].astype(np.int64), pairs.j[:count].astype(np.int64)
-    branches = (
-        packing.positions[j] - packing.positions[i] + pairs.shift[:, :count].T
-    ) @ packing.box.T
+    apart = packing.positions[j] - packing.positions[i] + pairs.shift[:, :count].T
+    branches = product(apart, packing.box.T)
     lengths = np.linalg.norm(branches, axis=1)
     normals = branches / lengths[:, None]
     overlaps = pairs.reach[:count] - lengths
@@ -137,7 +138,7 @@ def tangential_vectors(normals: np.ndarray, tangential: np.ndarray) -> np.ndarra
 def stress(packing: Packing, contacts: Contacts | None = None) -> np.ndarray:
     """Cauchy stress (d, d), Pa, tension positive: sum of f (x) b over V (Desrues eq. 27)."""
     contacts = contacts or touching(packing)
-    return contacts.forces.T @ contacts.branches / packing.volume
+    return _sum_of_products(contacts.forces, contacts.branches) / packing.volume
 
 
 def coordination_number(packing: Packing, contacts: Contacts | None = None) -> float:
@@ -151,7 +152,12 @@ def fabric(contacts: Contacts) -> np.ndarray:
     dim = contacts.normals.shape[1]
     if len(contacts.normals) == 0:
         return np.eye(dim) / dim
-    return contacts.normals.T @ contacts.normals / len(contacts.normals)
+    return _sum_of_products(contacts.normals, contacts.normals) / len(contacts.normals)
+
+
+def _sum_of_products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Sum of a (x) b over vectors (C, d), in their order; (d, d)."""
+    return (a[:, :, None] * b[:, None, :]).sum(0)
 
 
 def fabric_anisotropy(phi: np.ndarray) -> np.ndarray:
@@ -193,21 +199,12 @@ def elastic_energy(packing: Packing, contacts: Contacts | None = None) -> float:
 
 
 @kernel
-def measure(motion, pairs, material, thickness, stress, fabric):
-    """`measure_with` the parts of the material that forces depend on."""
-    return measure_with(
-        motion, pairs, material.law, material.cohesion, material.bonds, thickness, stress, fabric
-    )
-
-
-@kernel
-def measure_with(motion, pairs, law, cohesion, bonds, thickness, stress, fabric):
+def measure(motion, pairs, law, cohesion, bonds, thickness, stress, fabric):
     """Stress and fabric (d, d) of a packing in the work space; returns (contacts, overlap).
 
     The same sums as `stress` and `fabric`, from the positions of this moment. `overlap` is the
     largest, as a share of the mean diameter of its two grains.
     """
-    stays_out_of_line()
     box, position = motion.box, motion.position
     dim = box.shape[0]
     branch, force = np.zeros(3), np.zeros(3)
@@ -227,7 +224,7 @@ def measure_with(motion, pairs, law, cohesion, bonds, thickness, stress, fabric)
             branch[1] += box[1, 2] * z
             branch[2] = box[2, 0] * x + box[2, 1] * y + box[2, 2] * z
         squared = branch[0] ** 2 + branch[1] ** 2 + branch[2] ** 2
-        length = squared**0.5
+        length = math.sqrt(squared)
         overlap = pairs.reach[c] - length
         if bonds is not None:
             bond = pairs.memory[last, c]

@@ -1,13 +1,13 @@
 """Regular packings: disks on a triangular lattice, spheres on the densest one."""
 
 from collections.abc import Sequence
+from itertools import count
 
 import numpy as np
 
 from .contacts import ContactLaw
 from .packing import Packing
 from .preparation import GUO_ZHAO, cemented, compress
-from .response import load_kernels
 
 #: Overlap that the compression starts from, as a share of the diameter.
 TOUCHING = 1e-6
@@ -53,7 +53,6 @@ def hexagonal_packing(
     if thickness is None:
         thickness = 20 * radius if dim == 2 else 1.0
     law = law or GUO_ZHAO
-    load_kernels(law, dim)
     packing = Packing(
         np.diag(box) * 2 * radius * (1 - TOUCHING), places, np.full(len(places), radius),
         law, density, thickness,
@@ -73,7 +72,7 @@ def _triangular(grains: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _face_centred(grains: int) -> tuple[np.ndarray, np.ndarray]:
     """Reduced places (N, 3) and sides of the box over the diameter; 4 spheres per cube."""
-    cubes = int(np.ceil((grains / 4) ** (1 / 3) - 1e-9))
+    cubes = next(n for n in count(1) if 4 * n**3 >= grains)
     corner = np.array([[0, 0, 0], [0.5, 0.5, 0], [0.5, 0, 0.5], [0, 0.5, 0.5]])
     cells = np.array(list(np.ndindex(cubes, cubes, cubes)))
     places = (cells[:, None] + corner).reshape(-1, 3) / cubes

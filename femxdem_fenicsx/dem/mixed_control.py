@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .preparation import NotReached
+from .reproducible import determinant, inverse, product, rounded
 
 #: Growth of a correction from one evaluation to the next at most: grains answer with some scatter,
 #: from which a secant can conclude anything.
@@ -53,7 +54,7 @@ class ElementState:
     @property
     def volumetric_strain(self) -> float:
         """det F - 1, dilation positive."""
-        return float(np.linalg.det(self.deformation)) - 1.0
+        return float(determinant(self.deformation)) - 1.0
 
     @property
     def shear_strain(self) -> float:
@@ -91,6 +92,10 @@ class StressCondition:
         rows[(np.arange(len(places)), *places.T)] = 1.0
         return cls(np.asarray(controlled, bool), rows, np.asarray(target, float)[controlled])
 
+    def excess(self, stress: np.ndarray) -> np.ndarray:
+        """(m,) Pa: by how much a stress (d, d) exceeds what is prescribed."""
+        return (self.rows * stress).sum((1, 2)) - self.values
+
     @classmethod
     def none(cls, dim: int) -> "StressCondition":
         """All strain is prescribed."""
@@ -114,7 +119,7 @@ class _Search:
         """
         self.law, self.condition = law, condition
         self.F, self.best_F = np.array(F, float), None
-        self.inverse = np.linalg.inv(origin)
+        self.inverse = inverse(origin)
         self.best, self.evaluations, self.jump = np.inf, 0, False
         self.least_move = np.abs(F - origin).max()
         self._below = self._above = None
@@ -164,7 +169,7 @@ class _Search:
                     break
                 continue
             try:
-                move = -np.linalg.solve(jacobian, residual)
+                move = -rounded(np.linalg.solve(jacobian, residual))
             except np.linalg.LinAlgError:  # the stress does not answer
                 break
             length = np.abs(move).max()
@@ -187,7 +192,7 @@ class _Search:
             return
         if self._filling is None:
             self.law.discard()
-            self._filling = -np.linalg.lstsq(self._stiffness(), residual, rcond=None)[0]
+            self._filling = -rounded(np.linalg.lstsq(self._stiffness(), residual, rcond=None)[0])
         self.F[free] += self._filling
         self._filling *= 2.0
 
@@ -209,8 +214,8 @@ class _Search:
     def _residual(self) -> np.ndarray:
         """(m,) Pa at the F of this moment."""
         self.evaluations += 1
-        self.stress = self.law.evaluate((self.F @ self.inverse)[None])[0]
-        return np.einsum("mij,ij->m", self.condition.rows, self.stress) - self.condition.values
+        self.stress = self.law.evaluate(product(self.F, self.inverse)[None])[0]
+        return self.condition.excess(self.stress)
 
     @staticmethod
     def _measured(
@@ -335,7 +340,7 @@ class Servo:
                 " packing bears no more, or the increment is too large"
             )
         if not reached:
-            self.stress = self.law.evaluate((search.best_F @ search.inverse)[None])[0]
+            self.stress = self.law.evaluate(product(search.best_F, search.inverse)[None])[0]
         else:
             self.stress = search.best_stress
         self.law.commit()
@@ -347,8 +352,8 @@ class Servo:
         self, F: np.ndarray, condition: StressCondition, cuts: int, evaluations: int
     ) -> tuple[int, float, bool]:
         """The same increment in two halves."""
-        now = np.einsum("mij,ij->m", condition.rows, self.stress)
-        half = StressCondition(condition.free, condition.rows, 0.5 * (now + condition.values))
+        halfway = condition.values + 0.5 * condition.excess(self.stress)
+        half = StressCondition(condition.free, condition.rows, halfway)
         first, _, _ = self._go(0.5 * (self.deformation + F), half, cuts + 1)
         second, error, reached = self._go(F, condition, cuts + 1)
         return evaluations + first + second, error, reached

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .aliasing import kernel, stays_out_of_line
+from .aliasing import kernel
 from .contacts.interface import coefficient
-from .small import inverse, product, smallest_singular_value
+from .small import inverse, least_stretch, product
 
 
 class Pairs(NamedTuple):
@@ -116,7 +116,6 @@ def build(box, position, radius, inverse_mass, law, viscosity, skin, pairs, grid
 
     Returns the number of pairs, or -1 where `pairs` has no room for them.
     """
-    stays_out_of_line()
     cells = fill_grid(box, position, 2.0 * radius.max() + skin, grid)
     count = search(box, position, radius, skin, cells, pairs, grid)
     if count < 0:
@@ -157,10 +156,11 @@ def point_along_branches(count, box, position, pairs, normal):
 @kernel
 def fill_grid(box, position, reach, grid):
     """Sort the grains into cells no narrower than `reach`; numbers of cells along the box (d,)."""
-    stays_out_of_line()
     dim, grains = position.shape
     heights = box_heights(box)
-    most = int(grid.head.size ** (1.0 / dim) + 1e-9)
+    most = 1
+    while (most + 1) ** dim <= grid.head.size:
+        most += 1
     cells = np.empty(dim, np.int64)
     total = 1
     for a in range(dim):
@@ -185,7 +185,6 @@ def fill_grid(box, position, reach, grid):
 @kernel
 def search(box, position, radius, skin, cells, pairs, grid):
     """Find all close pairs and sort them into rows; the number of pairs, or -1: no room."""
-    stays_out_of_line()
     count = find_pairs(box, radius, skin, cells, grid)
     if count < 0:
         return count
@@ -222,7 +221,6 @@ def find_pairs(box, radius, skin, cells, grid):
     A neighbour beyond the border is an image of the cell on the other side, so that few cells
     along the box, or one, need no special care. Returns their number, or -1: no room.
     """
-    stays_out_of_line()
     dim, total = len(cells), 1
     for a in range(dim):
         total *= cells[a]
@@ -274,9 +272,8 @@ def outdated(box, position, longest_reach, skin, pairs):
 
     A pair outside the list was at |b0| >= reach + skin. Its branch is now b = F b0 + h (d_j - d_i),
     with F the box's own deformation and d the reduced displacements, hence no shorter than
-    s |b0| - 2 max |h d| with s the smallest singular value of F.
+    s |b0| - 2 max |h d| with s the least stretch of F.
     """
-    stays_out_of_line()
     anchor = pairs.anchor
     largest = 0.0
     for i in range(position.shape[1]):
@@ -287,7 +284,7 @@ def outdated(box, position, longest_reach, skin, pairs):
             dx, dy = dx + box[0, 2] * z, dy + box[1, 2] * z
             dz = box[2, 0] * x + box[2, 1] * y + box[2, 2] * z
         largest = max(largest, dx * dx + dy * dy + dz * dz)
-    shrinkage = max(1.0 - smallest_singular_value(product(box, inverse(pairs.anchor_box))), 0.0)
+    shrinkage = max(1.0 - least_stretch(product(box, inverse(pairs.anchor_box))), 0.0)
     return (2.0 * np.sqrt(largest) + shrinkage * (longest_reach + skin)) / skin
 
 
@@ -310,7 +307,6 @@ def copy(source, column, target, place):
 @kernel
 def remember(pairs, history):
     """Store what the contacts of the pair list remember, those that remember anything."""
-    stays_out_of_line()
     grains = pairs.first.size - 1
     count = 0
     for i in range(grains):
@@ -327,7 +323,6 @@ def remember(pairs, history):
 @kernel
 def recall(pairs, history, grid):
     """Give the pairs of the list what the history holds for them."""
-    stays_out_of_line()
     grains = pairs.first.size - 1
     marker = grid.marker
     marker[:] = -1

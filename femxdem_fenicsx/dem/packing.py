@@ -7,6 +7,7 @@ import numpy as np
 from .contacts import ContactLaw
 from .dynamics import Material
 from .neighbours import box_heights
+from .reproducible import determinant, inverse, product, transposed
 
 #: Skin of the pair list as a share of the mean radius: dense packings hardly rearrange.
 SKIN = 0.08
@@ -90,7 +91,7 @@ class Packing:
             raise ValueError(f"Packing: radii must be positive, the smallest is {self.radii.min()}")
         if not (self.density > 0 and self.thickness > 0):
             raise ValueError("Packing: density and thickness must be positive")
-        if not np.linalg.det(self.box) > 0:
+        if not determinant(self.box) > 0:
             raise ValueError("Packing: the box has no positive volume")
         if len(self.contacts) and not (
             (self.contacts[:, 0] >= 0).all()
@@ -162,7 +163,7 @@ class Packing:
     @property
     def volume(self) -> float:
         """Volume of the box, m3."""
-        return float(np.linalg.det(self.box)) * self.thickness
+        return float(determinant(self.box)) * self.thickness
 
     @property
     def void_ratio(self) -> float:
@@ -262,7 +263,7 @@ class Packing:
 
     def deformed(self, F: np.ndarray) -> "Packing":
         """The packing moved affinely by F (d, d): nothing but the box changes."""
-        return self.but(box=np.asarray(F) @ self.box)
+        return self.but(box=product(np.asarray(F), self.box))
 
 
 def reduction(box: np.ndarray) -> np.ndarray:
@@ -276,7 +277,9 @@ def reduction(box: np.ndarray) -> np.ndarray:
         changed = False
         for a in range(len(h)):
             for b in range(len(h)):
-                times = np.round(h[:, a] @ h[:, b] / (h[:, b] @ h[:, b])) if a != b else 0.0
+                if a == b:
+                    continue
+                times = np.round((h[:, a] * h[:, b]).sum() / (h[:, b] * h[:, b]).sum())
                 if times != 0.0:
                     h[:, a] -= times * h[:, b]
                     A[:, a] -= times * A[:, b]
@@ -389,16 +392,16 @@ class PackingBatch:
         nothing but the choice of the periodicity vectors changes. Without it a box that is sheared
         on and on becomes lower than two diameters.
         """
-        products = np.swapaxes(self.box, 1, 2) @ self.box
+        products = product(transposed(self.box), self.box)
         squares = np.diagonal(products, axis1=1, axis2=2)
         skewed = np.abs(products) > TOO_SKEWED * squares[:, None, :]
         skewed[:, range(self.box.shape[1]), range(self.box.shape[1])] = False
         for b in np.flatnonzero(skewed.any((1, 2))):
             A = reduction(self.box[b])
-            self.box[b] = self.box[b] @ A
-            position = np.linalg.inv(A).round() @ self.position[b]
+            self.box[b] = product(self.box[b], A)
+            position = product(inverse(A).round(), self.position[b])
             self.position[b] = position - np.floor(position)
-            self.turns[b] = self.turns[b] @ A
+            self.turns[b] = product(self.turns[b], A)
 
     def packing(self, b: int) -> Packing:
         """Number b on its own."""

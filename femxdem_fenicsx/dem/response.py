@@ -1,5 +1,6 @@
 """The answer of B packings to B deformation gradients, computed on the threads of this process."""
 
+import math
 import warnings
 from collections import deque
 from collections.abc import Callable
@@ -8,8 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .accuracy import PRESETS, Accuracy
-from .contacts import ContactLaw
+from .accuracy import Accuracy
 from .dynamics import NO_ROOM, OK, TOO_MANY_CONTACTS, Material, Workspace, workspace
 from .homogenisation import fabric, largest_overlap, stress, touching, unbalance_of
 from .loading import (
@@ -23,12 +23,40 @@ from .loading import (
     shear_of,
 )
 from .packing import PAIRS_PER_GRAIN, Packing, PackingBatch
+from .reproducible import determinant, inverse, product
 from .stability import vibration_of
 
 #: A packing with more pairs than that per grain has collapsed.
 MOST_PAIRS_PER_GRAIN = 40
 #: Least volume of a box over that of its grains; below it they overlap beyond any contact law.
 SOLID = 0.7
+#: Strains are rounded to multiples of this, or less where grains are stiffer (`strain_quantum_of`),
+#: before the grains see them. It is far below what they can resolve, and far above the rounding of
+#: linear solvers, which the grains would amplify until 1 and 2 ranks, or two kinds of CPU, part.
+LARGEST_QUANTUM = 2.0**-30
+#: What rounding a strain may change in the stress, over the pressure of the packing.
+ROUNDED_AWAY = 1e-6
+#: Multiples that every F is rounded to, probes as well, far below what a double tells beside 1:
+#: subnormal numbers would divide to infinity.
+SMALLEST = 2.0**-60
+
+
+def strain_quantum_of(packing: Packing, pressure: float) -> float:
+    """A power of two: a strain of that size changes the stress by `ROUNDED_AWAY` of it at most.
+
+    The stiffness is taken as that of a mean contact under `pressure` (Pa, positive) over the
+    thickness or the mean radius, which no packing of such grains exceeds by much. Between
+    `SMALLEST` and `LARGEST_QUANTUM`.
+    """
+    modulus = packing.contact_modulus(packing.overlap_under(pressure))
+    share = ROUNDED_AWAY * pressure / modulus
+    _, power = math.frexp(min(max(share, SMALLEST), LARGEST_QUANTUM))
+    return math.ldexp(0.5, power)
+
+
+def _multiples(x: np.ndarray, quantum: float) -> np.ndarray:
+    """The nearest multiples of a power of two; exact."""
+    return np.round(x / quantum) * quantum
 
 
 def warn_of_overlaps(overlap: float) -> None:
@@ -48,24 +76,6 @@ def warn_of_overlaps(overlap: float) -> None:
         )
 
 
-_loaded: set[tuple[ContactLaw, int]] = set()
-
-
-def load_kernels(law: ContactLaw, dim: int) -> None:
-    """Deform a grain on its own, so that this process loads these kernels before any other.
-
-    A cached kernel holds copies of those that it calls, optimised once more, and of two copies a
-    process runs the one that it loaded first. They differ by rounding. A rank that prepares a
-    packing must run the same as one that does not, and a run the same as when it is resumed.
-    """
-    if (law, dim) in _loaded:
-        return
-    _loaded.add((law, dim))
-    radius = 1e-3
-    grain = Packing(10 * radius * np.eye(dim), np.full((1, dim), 0.5), [radius], law)
-    Response(grain, 1, PRESETS["fast"]).deform(np.eye(dim)[None])
-
-
 class Response:
     """B packings with a committed state and a trial state.
 
@@ -77,6 +87,7 @@ class Response:
         friction: (B,) contact friction of each packing; None where it is the contact law's.
         outcome: what was measured at `latest`. committed_outcome: the same at `committed`.
         pressure: (B,) Pa, of the committed state. time_step: (B,) s, longest that is stable there.
+        strain_quantum: strains are rounded to multiples of it, see `strain_quantum_of`.
         commits: how often a trial became the state. held: (B,) steps of each packing's last hold.
     """
 
@@ -100,7 +111,6 @@ class Response:
         self.friction = friction
         if threads < 1:
             raise ValueError(f"threads must be 1 or more, got {threads}")
-        load_kernels(packing.law, packing.dim)
         self.committed = PackingBatch.of(packing, size)
         self.trial = self.committed.copy()
         self.material = packing.material
@@ -115,6 +125,7 @@ class Response:
         initial = stress(packing, contacts)
         confining = max(float(pressure_of(initial)), 1e-6 * packing.contact_modulus())
         self.loading = settings(packing, accuracy, confining)
+        self.strain_quantum = strain_quantum_of(packing, confining)
         self.committed_outcome = Outcome.of(size, packing.dim)
         self.committed_outcome.stress[:] = initial
         self.committed_outcome.fabric[:] = fabric(contacts)
@@ -140,15 +151,14 @@ class Response:
     def deform(self, F: np.ndarray) -> Outcome:
         """Trial state at F (B, d, d) relative to the committed state; what was measured there.
 
-        A packing that is at rest and asked for nothing, F = I, answers with its committed state:
-        a hold would go on within the tolerance, and the stress creep by up to 0.5 % of the
-        pressure (docs/stability.md).
+        F - I is rounded to multiples of `strain_quantum`. A packing that is at rest and asked for
+        nothing, F = I, answers with its committed state: a hold would go on within the tolerance,
+        and the stress creep by up to 0.5 % of the pressure (docs/stability.md).
 
         Raises ValueError for an F that is not a deformation (see `loading.logarithm`) or squeezes
-        the box too far, and
-        FloatingPointError for a packing that collapses.
+        the box too far, and FloatingPointError for a packing that collapses.
         """
-        F = np.ascontiguousarray(F, dtype=np.float64)
+        F = self.rounded(F)
         still = self._stand_still(F)
         self.outcome = self._run(F, np.arange(self.size), self.trial.state, still=still)
         self.latest = self.trial
@@ -159,6 +169,12 @@ class Response:
         self.outcome.loading_steps[still] = self.outcome.hold_steps[still] = 0
         self.held = np.where(still, self.held, self.outcome.hold_steps)
         return self.outcome
+
+    def rounded(self, F: np.ndarray) -> np.ndarray:
+        """F (n, d, d) with F - I in multiples of `strain_quantum`, as `deform` takes it."""
+        identity = np.eye(self.committed.template.dim)
+        change = np.asarray(F, dtype=np.float64) - identity
+        return identity + _multiples(change, self.strain_quantum)
 
     def _stand_still(self, F: np.ndarray) -> np.ndarray:
         """(B,) bool: at rest, and asked for nothing."""
@@ -171,6 +187,7 @@ class Response:
 
         Raises ValueError for an F that is not a deformation.
         """
+        F = self.rounded(F)
         steps = self._expected_steps(shear_of(logarithm(F)), np.arange(self.size), self.loading)
         return np.where(self._stand_still(F), 0, steps)
 
@@ -232,9 +249,9 @@ class Response:
         """What `packings` answer to F; those that stand `still` are left out."""
         start = start or self.committed
         material, loading = material or self.material, loading or self.loading
-        F = np.ascontiguousarray(F, dtype=np.float64)
+        F = _multiples(np.ascontiguousarray(F, dtype=np.float64), SMALLEST)
         log_F = logarithm(F)
-        self._check_room(F @ start.box[packings], packings)
+        self._check_room(product(F, start.box[packings]), packings)
         shear = shear_of(log_F)
         outcome = Outcome.of(len(packings), self.committed.template.dim)
         places = np.zeros_like(packings) if new is None else packings
@@ -311,9 +328,8 @@ class Response:
     def _check_room(self, boxes: np.ndarray, packings: np.ndarray) -> None:
         """Raise ValueError for a box that its grains cannot fill sensibly."""
         template = self.committed.template
-        inverse = np.linalg.inv(boxes)
-        heights = 1.0 / np.linalg.norm(inverse, axis=2).max(1)
-        volumes = np.linalg.det(boxes) * template.thickness
+        heights = 1.0 / np.linalg.norm(inverse(boxes), axis=2).max(1)
+        volumes = determinant(boxes) * template.thickness
         low = np.flatnonzero(heights < 4.0 * template.radii.max())
         if len(low):
             raise ValueError(

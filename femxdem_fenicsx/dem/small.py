@@ -49,25 +49,21 @@ def product(a, b):
 
 
 @kernel
-def smallest_singular_value(a):
-    """Of a 2 x 2 or 3 x 3 matrix; in 3D the root of the smallest eigenvalue of a^T a (Cardano)."""
-    if a.shape[0] == 2:
-        both = math.hypot(a[0, 0] + a[1, 1], a[1, 0] - a[0, 1])
-        return 0.5 * (both - math.hypot(a[0, 0] - a[1, 1], a[1, 0] + a[0, 1]))
-    c = np.zeros((3, 3))
-    for i in range(3):
-        for j in range(3):
-            for k in range(3):
-                c[i, j] += a[k, i] * a[k, j]
-    mean = (c[0, 0] + c[1, 1] + c[2, 2]) / 3.0
-    squared = 0.0
-    for i in range(3):
-        c[i, i] -= mean
-        for j in range(3):
-            squared += c[i, j] ** 2
-    size = math.sqrt(squared / 6.0)
-    if size == 0.0:
-        return math.sqrt(mean)
-    cosine = min(max(determinant(c) / (2.0 * size**3), -1.0), 1.0)
-    smallest = mean + 2.0 * size * math.cos((math.acos(cosine) + 2.0 * math.pi) / 3.0)
-    return math.sqrt(max(smallest, 0.0))
+def least_stretch(a):
+    """A lower bound of the least singular value; exact in 2D, and in 3D for uniaxial strain.
+
+    The least eigenvalue of a symmetric d x d matrix c is no less than its mean, tr c / d, less
+    sqrt((d - 1) / d) times the norm of its deviator; here c = a^T a.
+    """
+    dim = a.shape[0]
+    trace = squared = 0.0
+    for i in range(dim):
+        for j in range(dim):
+            c = 0.0
+            for k in range(dim):
+                c += a[k, i] * a[k, j]
+            squared += c * c
+            trace += c if i == j else 0.0
+    mean = trace / dim
+    deviator = math.sqrt(max(squared - dim * mean * mean, 0.0) * (dim - 1) / dim)
+    return math.sqrt(max(mean - deviator, 0.0))

@@ -10,6 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from .mixed_control import ElementState
+from .reproducible import (
+    arcsin,
+    determinant,
+    eigenvalues,
+    inverse,
+    log,
+    product,
+    slope,
+    transposed,
+)
 
 #: Axial strain of the secant that modulus and Poisson's ratio are read from.
 SECANT = 1e-3
@@ -17,8 +27,8 @@ SECANT = 1e-3
 AROUND_PEAK = 1e-2
 #: Last share of a test that counts as the critical state.
 CRITICAL = 0.25
-#: Largest sine of the dilatancy angle at which it does count: 0.1 is 6 degrees.
-STEADY = 0.1
+#: Largest dilatancy angle, degrees, at which it does count.
+STEADY = 6.0
 
 
 @dataclass(frozen=True)
@@ -44,18 +54,18 @@ def friction_angle(stress: np.ndarray) -> np.ndarray:
     """Mobilised friction angle of stress (..., d, d), degrees, by the largest and least principal
     stresses: sin(phi) = (s_1 - s_3) / (s_1 + s_3); 0 without stress, 90 where one pulls.
     """
-    principal = -np.linalg.eigvalsh(stress)
+    principal = -eigenvalues(stress)
     most, least = principal[..., 0], principal[..., -1]
     total = most + least
     sine = np.divide(most - least, total, out=np.ones_like(total), where=total > 0)
     sine = np.where((most == 0) & (least == 0), 0.0, sine)
-    return np.degrees(np.arcsin(np.clip(sine, 0.0, 1.0)))
+    return np.degrees(arcsin(np.clip(sine, 0.0, 1.0)))
 
 
 def log_strain(deformation: np.ndarray) -> np.ndarray:
     """Principal logarithmic strains of F (..., d, d), compression positive, the largest last."""
-    squared = deformation @ np.swapaxes(deformation, -1, -2)
-    return -0.5 * np.log(np.linalg.eigvalsh(squared))[..., ::-1]
+    squared = product(deformation, transposed(deformation))
+    return -0.5 * log(eigenvalues(squared))[..., ::-1]
 
 
 def deviatoric_strain(deformation: np.ndarray) -> np.ndarray:
@@ -63,7 +73,7 @@ def deviatoric_strain(deformation: np.ndarray) -> np.ndarray:
     eq. 13)."""
     principal = log_strain(deformation)
     deviator = principal - principal.mean(-1, keepdims=True)
-    return np.sqrt(2.0 * (deviator**2).sum(-1))
+    return np.sqrt(2.0 * (deviator * deviator).sum(-1))
 
 
 def dilatancy_angle(deformation: np.ndarray) -> float:
@@ -73,12 +83,10 @@ def dilatancy_angle(deformation: np.ndarray) -> float:
     along which most compression goes on (Vermeer and de Borst 1984); in plane strain and in 2D
     that is -d eps_v / d gamma. The rates are slopes of straight lines through all points.
     """
-    inverse = np.linalg.inv(deformation[0])
-    volume = -np.log(np.linalg.det(deformation @ inverse))
-    first = log_strain(deformation @ inverse)[:, -1]
-    slope = np.polyfit(first, volume, 1)[0] if np.ptp(first) > 0 else 0.0
-    slope = 0.0 if abs(slope) < 1e-9 else slope  # constant volume, but for rounding
-    return float(np.degrees(np.arcsin(np.clip(-slope / (2.0 - slope), -1.0, 1.0)))) + 0.0
+    since = product(deformation, inverse(deformation[0]))
+    rate = slope(log_strain(since)[:, -1], -log(determinant(since)))
+    rate = 0.0 if abs(rate) < 1e-9 else rate  # constant volume, but for rounding
+    return float(np.degrees(arcsin(np.clip(-rate / (2.0 - rate), -1.0, 1.0)))) + 0.0
 
 
 def strength(
@@ -99,10 +107,11 @@ def strength(
     """
     if len(states) == 0:
         raise ValueError("strength: the test has no states")
-    F = np.array([s.deformation for s in (initial, *states)]) @ np.linalg.inv(initial.deformation)
+    F = np.array([s.deformation for s in (initial, *states)])
+    F = product(F, inverse(initial.deformation))
     stress = np.array([s.stress for s in (initial, *states)])
     angle, strain = friction_angle(stress), deviatoric_strain(F)
-    voids = (1 + void_ratio) * np.linalg.det(F) - 1
+    voids = (1 + void_ratio) * determinant(F) - 1
     top = int(angle.argmax())
     near = np.abs(strain - strain[top]) <= AROUND_PEAK
     late = strain >= (1 - CRITICAL) * strain[-1]
@@ -115,7 +124,7 @@ def strength(
         dilatancy_angle(F[near]) if near.sum() > 2 else None,
         float(angle[late].mean()) if enough else None,
         float(voids[late].mean()) if enough else None,
-        bool(enough and abs(np.sin(np.radians(drift))) < STEADY),
+        bool(enough and abs(drift) < STEADY),
         modulus,
         ratio,
     )

@@ -43,7 +43,7 @@ def test_more_grains_than_there_is_memory_for_are_refused(femxdem, tmp_path):  #
     ],
 )
 def test_a_target_that_is_none_is_refused_at_once(femxdem, tmp_path, words, told, monkeypatch):  # noqa: F811
-    monkeypatch.setattr("femxdem_fenicsx.dem.preparation.load_kernels", None)  # nothing is compiled
+    monkeypatch.setattr("femxdem_fenicsx.dem.preparation.compress", None)  # nothing is computed
     assert_refused(femxdem(*SMALL, "--output", tmp_path / "a.h5", *words), told)
 
 

@@ -52,6 +52,15 @@ def loose(grains: int, seed: int, box: np.ndarray, law: LinearContact = FRICTION
     return Packing(box, positions, rng.uniform(3e-3, 7e-3, grains), law, thickness=0.1)
 
 
+def started(material: dynamics.Material, work: dynamics.Workspace) -> bool:
+    """Whether the work space has room for the pair list of its motion, which it then holds."""
+    status = dynamics.start(
+        work, material.radius, material.inverse_mass, material.law, material.viscosity,
+        material.skin,
+    )  # fmt: skip
+    return status == dynamics.OK
+
+
 class Moving:
     """A packing in a work space of its own, for tests that look at single time steps."""
 
@@ -73,12 +82,14 @@ class Moving:
         history.j[: batch.second.shape[1]] = batch.second[0]
         history.tangential[:, : batch.second.shape[1]] = batch.tangential[0]
         history.memory[:, : batch.second.shape[1]] = batch.memory[0]
-        assert dynamics.start(self.material, self.work) == dynamics.OK
+        assert started(self.material, self.work)
 
     def advance(self, steps: int, dt: float, gradient=0.0, damping: float = 0.0) -> "Moving":
         """Take steps of dt (s) while the box moves with that velocity gradient (1/s)."""
         gradient = np.zeros((self.packing.dim, self.packing.dim)) + gradient
-        status = dynamics.advance(steps, dt, gradient, damping, self.material, self.work)
+        status = dynamics.advance(
+            steps, dt, gradient, damping, self.material, self.work, self.material.inverse_radius
+        )
         assert status == dynamics.OK
         return self
 

@@ -181,7 +181,7 @@ def test_friction_as_low_as_1e_6_is_as_good_as_none_and_10_as_good_as_1e6(packin
 
 @pytest.mark.parametrize("grains", [1, 2, 4])
 def test_too_few_grains_are_refused_at_once_with_how_many_it_takes(grains, monkeypatch):
-    monkeypatch.setattr("femxdem_fenicsx.dem.preparation.load_kernels", None)  # nothing compiled
+    monkeypatch.setattr("femxdem_fenicsx.dem.preparation.compress", None)  # nothing computed
     with pytest.raises(ValueError, match=f"^grains: with {grains} .* use more grains, 5 at least"):
         random_packing(grains)
 

@@ -137,8 +137,8 @@ def test_the_kernel_measures_what_the_arrays_say(cohesion):
     moving = Moving(packing).advance(300, 2e-5, [[0.5, 1.0], [0.0, -0.5]], 0.5)
     sigma, phi = np.ones((2, 2)), np.ones((2, 2))
     count, overlap = measure(
-        moving.work.motion, moving.work.pairs, moving.material, packing.thickness,
-        sigma, phi,
+        moving.work.motion, moving.work.pairs, law.elasticity, moving.material.cohesion, None,
+        packing.thickness, sigma, phi,
     )  # fmt: skip
     now = moving.now
     contacts = touching(now)

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from femxdem_fenicsx.dem import dynamics, neighbours
+from femxdem_fenicsx.dem import neighbours
 from femxdem_fenicsx.dem.contacts import LinearContact
 
-from .scenes import Moving, loose, pairs_closer_than_reach_plus, two_grains
+from .scenes import Moving, loose, pairs_closer_than_reach_plus, started, two_grains
 
 ROTATED = np.array([[np.cos(1.0), -np.sin(1.0)], [np.sin(1.0), np.cos(1.0)]])
 BOXES = {
@@ -77,7 +77,7 @@ def test_tangential_forces_survive_a_rebuild_and_those_of_parted_pairs_do_not():
     neighbours.remember(work.pairs, work.history)
     # grains wander into other grid squares, over the box's edges and away from each other
     work.motion.position[:] += 5e-3 * rng.normal(size=work.motion.position.shape) + 0.4
-    assert dynamics.start(moving.material, work) == dynamics.OK
+    assert started(moving.material, work)
     after = moving.listed()
     assert set(before) - set(after) and set(after) - set(before) and set(after) & set(before)
     for pair, c in after.items():

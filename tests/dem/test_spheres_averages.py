@@ -141,8 +141,9 @@ def test_the_kernel_measures_what_the_arrays_say(cohesion):
     moving = Moving(packing).advance(100, 2e-5, L, 0.5)
     sigma, phi = np.ones((2, 3, 3))
     count, overlap = measure(
-        moving.work.motion, moving.work.pairs, moving.material, 1.0, sigma, phi
-    )
+        moving.work.motion, moving.work.pairs, law.elasticity, moving.material.cohesion, None,
+        1.0, sigma, phi,
+    )  # fmt: skip
     now = moving.now
     contacts = touching(now)
     assert np.abs(contacts.tangential).max() > 0

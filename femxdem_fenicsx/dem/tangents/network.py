@@ -53,9 +53,17 @@ def network(response: Response, b: int) -> Network:
             np.empty(room, np.int64), np.empty(room, np.int64), np.empty((room, dim)),
             *np.empty((4, room)), np.empty((room, dim)), np.zeros(room), 0.0,
         )  # fmt: skip
-        count = _fill(b, state, material, work, *arrays[:-1])
-        if count < 0:
-            return dynamics.NO_ROOM
+        restore(b, state, work.motion, work.history)
+        status = dynamics.start(
+            work, material.radius, material.inverse_mass, material.law, material.viscosity,
+            material.skin,
+        )  # fmt: skip
+        if status != dynamics.OK:
+            return status
+        count = _fill(
+            work.motion, work.pairs, material.radius, material.law, material.friction,
+            material.cohesion, material.rolling, material.bonds, *arrays[:-1],
+        )  # fmt: skip
         volume = float(np.linalg.det(state[0][b])) * response.loading.thickness
         found.append(Network(*(array[:count] for array in arrays[:-1]), volume))
         return dynamics.OK
@@ -65,23 +73,12 @@ def network(response: Response, b: int) -> Network:
 
 
 @kernel
-def _fill(b, state, material, work, i, j, branch, reach, k_n, k_t, f_n, tangential, k_r):
-    """Write the contacts of packing b; returns their number, -1 where there is no room."""
-    return _fill_with(
-        b, state, material, work, material.friction, material.cohesion, material.rolling,
-        material.bonds, i, j, branch, reach, k_n, k_t, f_n, tangential, k_r,
-    )  # fmt: skip
-
-
-@kernel
-def _fill_with(
-    b, state, material, work, friction, cohesion, rolling, bonds,
+def _fill(
+    motion, pairs, radius, law, friction, cohesion, rolling, bonds,
     i, j, branch, reach, k_n, k_t, f_n, tangential, k_r,
 ):  # fmt: skip
-    restore(b, state, work)
-    if dynamics.start(material, work) != dynamics.OK:
-        return -1
-    box, position, pairs = work.motion.box, work.motion.position, work.pairs
+    """Write the contacts of a packing in the work space; returns their number."""
+    box, position = motion.box, motion.position
     dim, c = box.shape[0], 0
     bond = None if bonds is None else 0.0
     for pair in range(pairs.first[-1]):
@@ -100,14 +97,14 @@ def _fill_with(
         strained = strained_overlap(bonds, bond, reach[c] - length)
         if strained == 0.0:
             continue
-        k_n[c], k_t[c] = stiffnesses(material.law, pairs.coefficient[pair], abs(strained))
-        f_n[c] = elastic_force(material.law, bonds, pairs.coefficient[pair], strained)
+        k_n[c], k_t[c] = stiffnesses(law, pairs.coefficient[pair], abs(strained))
+        f_n[c] = elastic_force(law, bonds, pairs.coefficient[pair], strained)
         if friction is None:
             k_t[c] = 0.0
         if cohesion is not None:
             f_n[c] -= attraction(cohesion, reach[c] - length)
         if rolling is not None:
-            one, other = material.radius[i[c]], material.radius[j[c]]
+            one, other = radius[i[c]], radius[j[c]]
             k_r[c] = rolling_stiffness(rolling, k_t[c], one * other / (one + other))
         if dim == 2:
             tangential[c, 0] = -pairs.tangential[0, pair] * branch[c, 1] / length
