@@ -175,7 +175,7 @@ class HomogenisedLaw:
         Raises InadmissibleDeformation for an F that is no deformation.
         """
         try:
-            return self.response.expected_steps(F)
+            return self.response.expected_steps(self.response.rounded(F))
         except ValueError as error:
             raise InadmissibleDeformation(str(error)) from None
 

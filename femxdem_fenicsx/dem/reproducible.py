@@ -133,7 +133,8 @@ def arctan(x: np.ndarray | float) -> np.ndarray:
 def arcsin(x: np.ndarray | float) -> np.ndarray:
     """In [-pi/2, pi/2], of numbers in [-1, 1]."""
     x = np.asarray(x, dtype=np.float64)
-    return 2.0 * arctan(x / (1.0 + np.sqrt((1.0 - x) * (1.0 + x))))
+    angle = 2.0 * arctan(x / (1.0 + np.sqrt((1.0 - x) * (1.0 + x))))
+    return np.where(np.abs(x) == 1.0, np.copysign(0.5 * np.pi, x), angle)
 
 
 def _odd_series(z: np.ndarray, terms: int, sign: float) -> np.ndarray:

@@ -30,14 +30,14 @@ from .stability import vibration_of
 MOST_PAIRS_PER_GRAIN = 40
 #: Least volume of a box over that of its grains; below it they overlap beyond any contact law.
 SOLID = 0.7
-#: Strains are rounded to multiples of this, or less where grains are stiffer (`strain_quantum_of`),
-#: before the grains see them. It is far below what they can resolve, and far above the rounding of
+#: A law rounds strains to multiples of this, or less where grains are stiffer
+#: (`strain_quantum_of`), before the grains see them. It is far below what they can resolve, and far above the rounding of
 #: linear solvers, which the grains would amplify until 1 and 2 ranks, or two kinds of CPU, part.
 LARGEST_QUANTUM = 2.0**-30
 #: What rounding a strain may change in the stress, over the pressure of the packing.
 ROUNDED_AWAY = 1e-6
-#: Multiples that every F is rounded to, probes as well, far below what a double tells beside 1:
-#: subnormal numbers would divide to infinity.
+#: Every F is rounded to multiples of this, far below what a double tells beside 1: components that
+#: are next to nothing would divide to infinity.
 SMALLEST = 2.0**-60
 
 
@@ -87,7 +87,7 @@ class Response:
         friction: (B,) contact friction of each packing; None where it is the contact law's.
         outcome: what was measured at `latest`. committed_outcome: the same at `committed`.
         pressure: (B,) Pa, of the committed state. time_step: (B,) s, longest that is stable there.
-        strain_quantum: strains are rounded to multiples of it, see `strain_quantum_of`.
+        strain_quantum: laws round strains to multiples of it, see `strain_quantum_of`.
         commits: how often a trial became the state. held: (B,) steps of each packing's last hold.
     """
 
@@ -151,14 +151,14 @@ class Response:
     def deform(self, F: np.ndarray) -> Outcome:
         """Trial state at F (B, d, d) relative to the committed state; what was measured there.
 
-        F - I is rounded to multiples of `strain_quantum`. A packing that is at rest and asked for
-        nothing, F = I, answers with its committed state: a hold would go on within the tolerance,
-        and the stress creep by up to 0.5 % of the pressure (docs/stability.md).
+        A packing that is at rest and asked for nothing, F = I, answers with its committed state: a
+        hold would go on within the tolerance, and the stress creep by up to 0.5 % of the pressure
+        (docs/stability.md).
 
         Raises ValueError for an F that is not a deformation (see `loading.logarithm`) or squeezes
         the box too far, and FloatingPointError for a packing that collapses.
         """
-        F = self.rounded(F)
+        F = np.ascontiguousarray(F, dtype=np.float64)
         still = self._stand_still(F)
         self.outcome = self._run(F, np.arange(self.size), self.trial.state, still=still)
         self.latest = self.trial
@@ -171,7 +171,7 @@ class Response:
         return self.outcome
 
     def rounded(self, F: np.ndarray) -> np.ndarray:
-        """F (n, d, d) with F - I in multiples of `strain_quantum`, as `deform` takes it."""
+        """F (n, d, d) with F - I in multiples of `strain_quantum`, as laws give it to `deform`."""
         identity = np.eye(self.committed.template.dim)
         change = np.asarray(F, dtype=np.float64) - identity
         return identity + _multiples(change, self.strain_quantum)
@@ -187,7 +187,6 @@ class Response:
 
         Raises ValueError for an F that is not a deformation.
         """
-        F = self.rounded(F)
         steps = self._expected_steps(shear_of(logarithm(F)), np.arange(self.size), self.loading)
         return np.where(self._stand_still(F), 0, steps)
 
