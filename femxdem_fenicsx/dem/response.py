@@ -31,8 +31,9 @@ MOST_PAIRS_PER_GRAIN = 40
 #: Least volume of a box over that of its grains; below it they overlap beyond any contact law.
 SOLID = 0.7
 #: A law rounds strains to multiples of this, or less where grains are stiffer
-#: (`strain_quantum_of`), before the grains see them. It is far below what they can resolve, and far above the rounding of
-#: linear solvers, which the grains would amplify until 1 and 2 ranks, or two kinds of CPU, part.
+#: (`strain_quantum_of`), before the grains see them. It is far below what they can resolve, and far
+#: above the rounding of linear solvers, which the grains would amplify until 1 and 2 ranks, or two
+#: kinds of CPU, part.
 LARGEST_QUANTUM = 2.0**-30
 #: What rounding a strain may change in the stress, over the pressure of the packing.
 ROUNDED_AWAY = 1e-6
