@@ -1,4 +1,4 @@
-"""A rotation turns the stress and does nothing else, whatever the packing has gone through before."""
+"""A rotation turns the stress and does nothing else, whatever the packing went through before."""
 
 import numpy as np
 import pytest
