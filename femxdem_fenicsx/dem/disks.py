@@ -48,7 +48,8 @@ def pair_forces(
         sy = position_y[j] - position_y[i] + shift_y[c]
         bx, by = h00 * sx + h01 * sy, h10 * sx + h11 * sy
         length = math.sqrt(bx * bx + by * by)
-        nx, ny = bx / length, by / length
+        inverse = 1.0 / length
+        nx, ny = bx * inverse, by * inverse
         overlap = reach[c] - length
         if bonds is not None:
             bond = memory[last, c]

@@ -49,7 +49,8 @@ def pair_forces(
         by = h10 * sx + h11 * sy + h12 * sz
         bz = h20 * sx + h21 * sy + h22 * sz
         length = math.sqrt(bx * bx + by * by + bz * bz)
-        nx, ny, nz = bx / length, by / length, bz / length
+        inverse = 1.0 / length
+        nx, ny, nz = bx * inverse, by * inverse, bz * inverse
         overlap = reach[c] - length
         if bonds is not None:
             bond = memory[last, c]
