@@ -185,7 +185,7 @@ def test_elements_of_varied_friction_are_the_same_ones_on_two_ranks(tmp_path):
         assert result.returncode == 0, result.stderr
         with h5py.File(folder / "biaxial_fields" / "000002.h5") as file:
             fields.append(file["deviatoric_strain"][()])
-    assert np.ptp(fields[0]) > 0.05 * fields[0].mean()
+    assert np.ptp(fields[0]) > 5e-3 * fields[0].mean()  # by hardly anything where all are alike
     np.testing.assert_allclose(fields[1], fields[0], rtol=1e-8)
 
 
