@@ -136,7 +136,7 @@ def test_probes_draw_an_envelope(femxdem, sand, tmp_path):  # noqa: F811
 def test_a_test_that_loses_control_ends_with_its_states_and_code_3(femxdem, sand, tmp_path):  # noqa: F811
     result = femxdem(
         "element-test", "path", "--packing", sand, "--output", tmp_path, "--path",
-        written(tmp_path / "much.csv", "stress_xx_Pa,stress_yy_Pa,increments\n1e5,6e5,3\n"),
+        written(tmp_path / "much.csv", "stress_xx_Pa,stress_yy_Pa,increments\n1e5,6e5,6\n"),
     )  # fmt: skip
     assert result.code == 3, result
     told = json.loads((tmp_path / "path.json").read_text())

@@ -148,7 +148,7 @@ def test_soft_and_stiff_contacts_make_packings_that_answer(level):
 def test_a_pressure_that_squashes_the_grains_is_refused_at_once():
     with pytest.raises(ValueError, match="overlap by about 100% of their diameter: they are too"):
         random_packing(64, pressure=1e9)
-    with pytest.raises(ValueError, match="overlap by about 33%"):
+    with pytest.raises(ValueError, match=r"overlap by about 3\d%"):
         random_packing(64, law=law_of(3.0))
 
 
@@ -186,8 +186,9 @@ def test_too_few_grains_are_refused_at_once_with_how_many_it_takes(grains, monke
         random_packing(grains)
 
 
-def test_nine_grains_are_a_packing():
-    law = strained(random_packing(9), BALANCED)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_sixteen_grains_are_a_packing(seed):
+    law = strained(random_packing(16, seed=seed), BALANCED)
     assert law.tally.unfinished == 0
     assert (law.stress[0].diagonal() < -1e4).all()
 

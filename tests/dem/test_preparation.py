@@ -140,14 +140,18 @@ def test_a_sieve_curve_gives_the_sizes_of_a_packing():
     assert volume[packing.radii < 4e-3].sum() / volume.sum() == pytest.approx(0.4, abs=0.04)
 
 
-def test_density_classes_come_in_their_order(dense):
-    voids = [
-        random_packing(compaction_friction=DENSITIES[name]).void_ratio
-        for name in ("medium", "loose")
-    ]
+def test_density_classes_come_in_their_order():
+    """Means of four packings: one scatters by 0.01."""
     assert DENSITIES["dense"] == 0.0
-    assert dense.void_ratio + 0.02 < voids[0] < voids[1] - 0.01
-    assert 0.195 < voids[0] < 0.217 and 0.22 < voids[1] < 0.24
+    dense, medium, loose = (
+        np.mean([
+            random_packing(compaction_friction=friction, seed=seed).void_ratio
+            for seed in range(1, 5)
+        ])
+        for friction in DENSITIES.values()
+    )  # fmt: skip
+    assert dense + 0.01 < medium < loose - 0.01
+    assert 0.16 < dense < 0.19 and 0.19 < medium < 0.22 and 0.21 < loose < 0.245
 
 
 def test_a_library_is_one_set_of_grains_at_different_places():
