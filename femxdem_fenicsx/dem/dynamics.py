@@ -3,8 +3,9 @@
 A grain has a reduced position s (Desrues eq. 13), the velocity v that it has beyond the affine
 motion of the box (eq. 14: v = h s'), and the rim velocity w = R omega that it spins with beyond the
 box's mean rotation. It moves by dv/dt = d(h s')/dt = f / m: eq. 15 without terms of the box's own
-motion, which change the stress by 0.015 % (docs/method.md). The box follows h' = L h with a constant velocity gradient L, so that a rotation of the box is a rotation: for small
-increments this is the straight path of eq. 3 to second order.
+motion, which change the stress by 0.015 % (docs/method.md). The box follows h' = L h with a
+constant velocity gradient L, so that a rotation of the box is a rotation: for small increments this
+is the straight path of eq. 3 to second order.
 
 One step is a leapfrog step in three loops: forces of the pairs, their sum on each grain, motion.
 """

