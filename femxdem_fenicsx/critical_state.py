@@ -11,8 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .dem.accuracy import Accuracy
+from .dem.accuracy import PRESETS, Accuracy
+from .dem.element_tests import simple_shear
 from .dem.loading import pressure_of
+from .dem.mixed_control import Servo
 from .dem.packing import Packing
 from .dem.strength import friction_angle
 from .homogenised_law import HomogenisedLaw
@@ -41,6 +43,10 @@ class Shear:
             )
         if not 0 < self.void_ratio < np.inf:
             raise ValueError(f"critical state: need a positive void ratio, got {self.void_ratio}")
+
+
+#: What docs/accuracy.md has.
+SHEAR = Shear()
 
 
 @dataclass(frozen=True)
@@ -72,7 +78,7 @@ def batch(packings: Sequence[Packing], accuracy: Accuracy, threads: int = 1) -> 
 
 
 def critical_state(
-    packings: Sequence[Packing], accuracy: Accuracy, shear: Shear = Shear(), threads: int = 1
+    packings: Sequence[Packing], accuracy: Accuracy, shear: Shear = SHEAR, threads: int = 1
 ) -> Critical:
     """The packings, of the same grains, led to the critical state at constant volume."""
     law, dim = batch(packings, accuracy, threads), packings[0].dim
@@ -90,6 +96,53 @@ def critical_state(
     steps = (law.tally.steps - before) / (total * len(packings))
     mean = stresses.mean(0)
     return Critical(pressure_of(mean), np.array([friction_angle(s) for s in mean]), steps)
+
+
+def critical_void_ratio(packing: Packing, shear: Shear = SHEAR, tolerance: float = 1e-2) -> float:
+    """Mean void ratio of one packing at the critical state under its own vertical stress.
+
+    By simple shear with the preset `fast`: the void ratio is only chosen by it.
+    tolerance: on the vertical stress, over it.
+    """
+    law = HomogenisedLaw(packing, 1, PRESETS["fast"])
+    normal = -float(law.stress[0, -1, -1])
+    servo, ratios = Servo(law, tolerance * normal), []
+    for state in simple_shear(servo, shear.last, shear.step, normal):
+        if state.deformation[0, -1] > shear.first:
+            ratios.append(float(law.void_ratio[0]))
+    return float(np.mean(ratios))
+
+
+def row(name: str, accuracy: Accuracy, found: Critical, reference: Critical) -> dict[str, object]:
+    """A line of a table: what was found, its standard errors, the cost, off the reference."""
+    (pressure, apart), (angle, angle_apart) = found.mean("pressure"), found.mean("friction_angle")
+    expected, expected_apart = reference.mean("pressure")
+    return {
+        "accuracy": name,
+        "inertial_number": accuracy.inertial_number,
+        "tolerance": accuracy.tolerance,
+        "packings": len(found.pressure),
+        "dem_steps": found.steps,
+        "pressure_Pa": pressure,
+        "pressure_standard_error_Pa": apart,
+        "friction_angle_deg": angle,
+        "friction_angle_standard_error_deg": angle_apart,
+        "pressure_error": pressure / expected - 1.0,
+        "pressure_error_standard_error": float(np.hypot(apart, expected_apart)) / expected
+        if found is not reference
+        else 0.0,
+    }
+
+
+def presets(
+    packings: Sequence[Packing], shear: Shear = SHEAR, threads: int = 1
+) -> list[dict[str, object]]:
+    """A `row` for each preset, from the fastest on; errors are against `reference`."""
+    found = {
+        name: critical_state(packings, accuracy, shear, threads)
+        for name, accuracy in PRESETS.items()
+    }
+    return [row(name, PRESETS[name], found[name], found["reference"]) for name in PRESETS]
 
 
 def _bring_to(law: HomogenisedLaw, packings: Sequence[Packing], shear: Shear) -> None:

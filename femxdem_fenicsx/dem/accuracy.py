@@ -1,5 +1,6 @@
 """What a user trades: speed of the micro scale against its accuracy."""
 
+import warnings
 from dataclasses import dataclass, fields, replace
 
 
@@ -61,3 +62,14 @@ def preset(name: str) -> Accuracy:
     if name not in PRESETS:
         raise ValueError(f"unknown accuracy preset '{name}'; choose from {', '.join(PRESETS)}")
     return PRESETS[name]
+
+
+def warn_of_rate(accuracy: Accuracy, test: str) -> None:
+    """Warn of a test at constant volume that is made faster than `balanced` is."""
+    most = PRESETS["balanced"].inertial_number
+    if accuracy.inertial_number > most:
+        warnings.warn(
+            f"{test}: at constant volume an inertial number of {accuracy.inertial_number:g} gives"
+            f" too much pressure (docs/accuracy.md); use {most:g} or less (balanced, reference)",
+            stacklevel=2,
+        )
