@@ -6,7 +6,7 @@ is what undrained strength is made of, and a packing that is sheared too fast ov
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,12 +22,13 @@ from .homogenised_law import HomogenisedLaw
 
 @dataclass(frozen=True)
 class Shear:
-    """Simple shear at constant volume, after a dilation or compression to one void ratio.
+    """Simple shear at constant volume, once all packings have come to one void ratio.
 
     Attributes:
-        void_ratio: that all packings are brought to first, by equal strains in all directions.
+        void_ratio: that all packings are brought to while they are sheared to half of `first`, by
+            equal strains in all directions; it is kept from then on.
         first, last: gamma between which pressure and friction angle are averaged.
-        step: of gamma per increment, and of the volumetric strain per increment before.
+        step: of gamma per increment.
     """
 
     void_ratio: float = 0.222
@@ -55,7 +56,7 @@ class Critical:
 
     Attributes:
         pressure: mean pressure, Pa, compression positive. friction_angle: mobilised, degrees.
-        steps: of the DEM per increment of shear, mean over all packings and increments.
+        steps: of the DEM per increment, mean over the packings and the increments averaged over.
     """
 
     pressure: np.ndarray
@@ -81,21 +82,16 @@ def critical_state(
     packings: Sequence[Packing], accuracy: Accuracy, shear: Shear = SHEAR, threads: int = 1
 ) -> Critical:
     """The packings, of the same grains, led to the critical state at constant volume."""
-    law, dim = batch(packings, accuracy, threads), packings[0].dim
-    _bring_to(law, packings, shear)
-    F = np.broadcast_to(np.eye(dim), (len(packings), dim, dim)).copy()
-    F[:, 0, -1] = shear.step
-    before, total = law.tally.steps, round(shear.last / shear.step)
-    stresses = []
-    for k in range(1, total + 1):
-        stress = law.evaluate(F)
+    law, path, stresses = batch(packings, accuracy, threads), _increments(packings, shear), []
+    before = 0
+    for k, F in enumerate(path):
+        if k == round(shear.first / shear.step):
+            before, stresses = law.tally.steps, []
+        stresses.append(law.evaluate(F))
         law.commit()
-        if k > round(shear.first / shear.step):
-            stresses.append(stress)
-    stresses = np.array(stresses)
-    steps = (law.tally.steps - before) / (total * len(packings))
-    mean = stresses.mean(0)
-    return Critical(pressure_of(mean), np.array([friction_angle(s) for s in mean]), steps)
+    steps = (law.tally.steps - before) / (len(stresses) * len(packings))
+    mean = np.mean(stresses, axis=0)
+    return Critical(pressure_of(mean), friction_angle(mean), steps)
 
 
 def critical_void_ratio(packing: Packing, shear: Shear = SHEAR, tolerance: float = 1e-2) -> float:
@@ -145,12 +141,13 @@ def presets(
     return [row(name, PRESETS[name], found[name], found["reference"]) for name in PRESETS]
 
 
-def _bring_to(law: HomogenisedLaw, packings: Sequence[Packing], shear: Shear) -> None:
-    """Strain every packing equally in all directions, until it has the void ratio asked for."""
+def _increments(packings: Sequence[Packing], shear: Shear) -> Iterator[np.ndarray]:
+    """F (n, d, d) of each increment; the void ratio is reached halfway to `shear.first`."""
+    dim, count = packings[0].dim, len(packings)
     ratio = (1.0 + shear.void_ratio) / (1.0 + np.array([p.void_ratio for p in packings]))
-    increments = max(int(np.ceil(np.abs(np.log(ratio)).max() / shear.step)), 1)
-    stretch = ratio ** (1.0 / (law.dim * increments))
-    F = stretch[:, None, None] * np.eye(law.dim)
-    for _ in range(increments):
-        law.evaluate(F)
-        law.commit()
+    dilating = max(round(0.5 * shear.first / shear.step), 1)
+    simple = np.eye(dim)
+    simple[0, -1] = shear.step
+    stretch = ratio ** (1.0 / (dim * dilating))
+    for k in range(round(shear.last / shear.step)):
+        yield (stretch if k < dilating else np.ones(count))[:, None, None] * simple

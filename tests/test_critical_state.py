@@ -18,22 +18,25 @@ def packings():
 
 
 def test_a_batch_answers_as_each_packing_on_its_own(packings):
+    """But for the time step, which is that of the first one."""
     F = np.array([[1.0, 1e-3], [0.0, 1.0]])
-    together = batch(packings, FAST)
-    stress = together.evaluate(np.tile(F, (len(packings), 1, 1)))
-    for own, packing in zip(stress, packings, strict=True):
-        np.testing.assert_array_equal(own, HomogenisedLaw(packing, 1, FAST).evaluate(F[None])[0])
+    together = batch(packings, FAST).evaluate(np.tile(F, (len(packings), 1, 1)))
+    alone = [HomogenisedLaw(packing, 1, FAST).evaluate(F[None])[0] for packing in packings]
+    np.testing.assert_array_equal(together[0], alone[0])
+    np.testing.assert_allclose(together, alone, atol=2e3)  # of 1e5 Pa
 
 
-def test_all_packings_are_brought_to_the_void_ratio_and_sheared_from_there(packings, monkeypatch):
+def test_all_packings_are_brought_to_the_void_ratio_while_sheared_and_keep_it(
+    packings, monkeypatch
+):
     made = []
     monkeypatch.setattr(module, "batch", lambda *args: made.append(batch(*args)) or made[-1])
-    critical_state(packings, FAST, Shear(0.2, first=2e-3, last=4e-3))
+    critical_state(packings, FAST, Shear(0.2, first=8e-3, last=1e-2))
     (law,) = made
     volume = np.linalg.det(law.deformation) * (1 + np.array([p.void_ratio for p in packings]))
     np.testing.assert_allclose(volume, 1.2, rtol=1e-6)
     shear = law.deformation[:, 0, 1] / law.deformation[:, 1, 1]
-    np.testing.assert_allclose(shear, 4e-3, rtol=1e-5)
+    np.testing.assert_allclose(shear, 1e-2, rtol=1e-5)
 
 
 def test_dense_disks_bear_pressure_and_mobilise_friction_of_disks_without_rolling(packings):
@@ -53,12 +56,12 @@ def test_a_smaller_void_ratio_bears_more_pressure(packings):
     assert dense > 2 * loose
 
 
-def test_a_slower_rate_takes_more_steps(packings):
-    path = Shear(0.2, first=0.0, last=5e-3)
+def test_a_slower_rate_takes_more_steps_which_are_those_of_what_is_averaged(packings):
+    path = Shear(packings[0].void_ratio, first=2e-3, last=5e-3)
     fast, reference = (
         critical_state(packings[:2], PRESETS[name], path).steps for name in ("fast", "reference")
     )
-    assert 3 * fast < reference
+    assert 25 < 3 * fast < reference < 5000
 
 
 def test_a_mean_has_the_standard_error_of_independent_packings():
