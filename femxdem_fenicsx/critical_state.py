@@ -64,10 +64,9 @@ class Critical:
     steps: float
 
     def mean(self, name: str) -> tuple[float, float]:
-        """Mean over the packings of an attribute, and the standard error of that mean."""
+        """Mean of an attribute over two or more packings, and the standard error of that mean."""
         values = getattr(self, name)
-        error = values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.inf
-        return float(values.mean()), float(error)
+        return float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
 
 
 def batch(packings: Sequence[Packing], accuracy: Accuracy, threads: int = 1) -> HomogenisedLaw:

@@ -348,7 +348,7 @@ def critical(
 
     Args:
         packing: whose grains are taken. quick: for less shear.
-        packings: that the mean is taken of; by default `CRITICAL_PACKINGS`, 2 if quick.
+        packings: 2 or more, of which the mean is; by default `CRITICAL_PACKINGS`, 2 if quick.
         void_ratio: that is kept; by default the critical one under the packing's own pressure.
         threads: for all runs.
 
@@ -356,9 +356,10 @@ def critical(
     `critical_state.row`.
     """
     first, last = QUICK_SHEAR if quick else CRITICAL_SHEAR
-    shear = critical_state.Shear(void_ratio or packing.void_ratio, first, last)
+    shear = critical_state.Shear(first=first, last=last)
     if void_ratio is None:
-        shear = replace(shear, void_ratio=critical_state.critical_void_ratio(packing, shear))
+        void_ratio = critical_state.critical_void_ratio(packing, shear)
+    shear = replace(shear, void_ratio=void_ratio)
     count = packings or (2 if quick else CRITICAL_PACKINGS)
     rows = critical_state.presets(family(packing, count), shear, threads)
     return {

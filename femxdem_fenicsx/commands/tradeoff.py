@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .. import lab_plots, terminal, tradeoff, writing
+from .. import critical_state, lab_plots, terminal, tradeoff, writing
 from . import common
 
 COLUMNS = (
@@ -41,13 +41,12 @@ def add(commands) -> None:
     critical = parser.add_argument_group("critical state at constant volume")
     critical.add_argument(
         "--critical-packings", type=int,
-        help="of the same grains  (default: 32, or as many as --packings with --quick)",
+        help="of the same grains  (default: 32, 2 with --quick)",
     )  # fmt: skip
     critical.add_argument(
-        "--void-ratio",
-        type=float,
+        "--void-ratio", type=float,
         help="that is kept  (default: what simple shear under the packing's pressure comes to)",
-    )
+    )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="fewer values, less shear")
     parser.add_argument("--output", type=Path, default=Path("results/tradeoff"), help="folder")
     common.add_threads(parser)
@@ -60,10 +59,12 @@ def run(args: argparse.Namespace) -> int:
 
     Writes a table, a picture of error against cost, and a summary with one sentence per setting.
     """
-    for name in ("packings", "critical_packings"):
-        number = getattr(args, name)
-        if number is not None and number < 1:
-            raise ValueError(f"--{name.replace('_', '-')} must be 1 or more, got {number}")
+    if args.packings < 1:
+        raise ValueError(f"--packings must be 1 or more, got {args.packings}")
+    if args.critical_packings is not None and args.critical_packings < 2:
+        raise ValueError(f"--critical-packings must be 2 or more, got {args.critical_packings}")
+    if args.void_ratio is not None:
+        critical_state.Shear(args.void_ratio)  # before anything is computed
     path = tradeoff.Path(
         args.increments, args.step, args.directions, args.lateral, args.increments * args.step
     )
