@@ -24,7 +24,7 @@ import biaxial  # noqa: E402
 
 from femxdem_fenicsx import tradeoff  # noqa: E402
 from femxdem_fenicsx.arguments import packing_for  # noqa: E402
-from femxdem_fenicsx.commands.tradeoff import tell, write  # noqa: E402
+from femxdem_fenicsx.commands.tradeoff import show_critical, tell, write  # noqa: E402
 from femxdem_fenicsx.dem.accuracy import PRESETS, Accuracy  # noqa: E402
 from femxdem_fenicsx.dem.element_tests import drained_biaxial  # noqa: E402
 from femxdem_fenicsx.dem.files import load_packing, save_packing  # noqa: E402
@@ -34,6 +34,8 @@ from femxdem_fenicsx.homogenised_law import HomogenisedLaw  # noqa: E402
 YADE = ROOT / "tests" / "data" / "yade"
 #: YADE's and others of its grains: an error below their scatter does not matter.
 PACKINGS = 5
+#: At the critical state: disks under 170 to 250 kPa have it.
+VOID_RATIO = 0.222
 
 
 # One packing beside YADE
@@ -244,6 +246,8 @@ def main() -> None:
     print(*result["sentences"], sep="\n", flush=True)
     for name, accuracy in PRESETS.items():
         result["presets"][name]["against_yade"] = against_yade(packing, accuracy)
+    result["critical"] = tradeoff.critical(packing, args.quick, None, VOID_RATIO, 2)
+    show_critical(result["critical"])
     result |= macro(packings, args.quick)
     print(*result["macro_sentences"], sep="\n", flush=True)
     if args.output is not None:

@@ -54,8 +54,29 @@ def tradeoff_tables(result: dict) -> list[str]:
             f" {' | '.join(signed)} | {row['void_ratio_error']:.4f} |"
             f" {row['not_converged']:.1f} | {row['seconds']:.1f} |"
         )
+    if "critical" in result:
+        lines += critical_table(result["critical"])
     for title, name in (("The packing", "sentences"), ("The coupled test", "macro_sentences")):
         lines += ["", f"{title}:", "", *(f"- {sentence}" for sentence in result[name])]
+    return lines
+
+
+def critical_table(critical: dict) -> list[str]:
+    """Of the critical state at constant volume."""
+    lines = [
+        "",
+        f"Simple shear at constant volume, void ratio {critical['void_ratio']:.3f}, mean of gamma"
+        f" {critical['first']:g} to {critical['last']:g} and of {critical['packings']} packings:",
+        "", "| accuracy | DEM steps | mean pressure, kPa | off `reference` | friction angle |",
+        "|---|---|---|---|---|",
+    ]  # fmt: skip
+    for row in critical["rows"]:
+        lines.append(
+            f"| {row['accuracy']} | {row['dem_steps']:.0f} |"
+            f" {1e-3 * row['pressure_Pa']:.0f} ± {1e-3 * row['pressure_standard_error_Pa']:.0f} |"
+            f" {row['pressure_error']:+.0%} ± {row['pressure_error_standard_error']:.0%} |"
+            f" {row['friction_angle_deg']:.1f} ± {row['friction_angle_standard_error_deg']:.1f}° |"
+        )
     return lines
 
 

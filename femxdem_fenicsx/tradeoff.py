@@ -12,6 +12,7 @@ from time import process_time
 
 import numpy as np
 
+from . import critical_state
 from .dem.accuracy import PRESETS, Accuracy
 from .dem.contacts import ContactLaw, LinearContact, RollingResistance
 from .dem.element_tests import drained_compression
@@ -27,6 +28,11 @@ SLOWEST = Accuracy(inertial_number=1e-5, tolerance=1e-5, hold_limit=200_000)
 BASE = "balanced"
 #: On the lateral stress of the drained test, over the pressure.
 DRAINED_TOLERANCE = 3e-3
+
+#: Packings that the critical state is a mean of: it fluctuates by a fifth from one to the next.
+CRITICAL_PACKINGS = 32
+#: Shear strains between which it is read; with few values it is not quite reached.
+CRITICAL_SHEAR, QUICK_SHEAR = (0.3, 0.8), (0.15, 0.25)
 
 Change = Callable[[Packing], Packing]
 
@@ -328,6 +334,37 @@ def study(
             "dem_steps": reference.steps,
         },
         "sentences": sentences(sweep, apart),
+    }  # fmt: skip
+
+
+def critical(
+    packing: Packing,
+    quick: bool = False,
+    packings: int | None = None,
+    void_ratio: float | None = None,
+    threads: int = 1,
+) -> dict[str, object]:
+    """The presets at the critical state, in simple shear at constant volume.
+
+    Args:
+        packing: whose grains are taken. quick: for less shear.
+        packings: 2 or more, of which the mean is; by default `CRITICAL_PACKINGS`, 2 if quick.
+        void_ratio: that is kept; by default the critical one under the packing's own pressure.
+        threads: for all runs.
+
+    Returns `void_ratio`, `first` and `last` shear strain, `packings` and `rows`, see
+    `critical_state.row`.
+    """
+    first, last = QUICK_SHEAR if quick else CRITICAL_SHEAR
+    shear = critical_state.Shear(first=first, last=last)
+    if void_ratio is None:
+        void_ratio = critical_state.critical_void_ratio(packing, shear)
+    shear = replace(shear, void_ratio=void_ratio)
+    count = packings or (2 if quick else CRITICAL_PACKINGS)
+    rows = critical_state.presets(family(packing, count), shear, threads)
+    return {
+        "void_ratio": shear.void_ratio, "first": first, "last": last, "packings": count,
+        "rows": rows,
     }  # fmt: skip
 
 

@@ -230,7 +230,8 @@ def test_the_command_writes_table_picture_and_summary(femxdem, packing, tmp_path
     save_packing(tmp_path / "packing.h5", packing)
     shown = femxdem(
         "tradeoff", "--packing", tmp_path / "packing.h5", "--quick", "--increments", 2,
-        "--directions", 1, "--packings", 2, "--output", tmp_path,
+        "--directions", 1, "--packings", 2, "--void-ratio", 0.2, "--critical-packings", 2,
+        "--output", tmp_path,
     )  # fmt: skip
     assert shown.code == 0, shown.error
     result = json.loads((tmp_path / "tradeoff.json").read_text())
@@ -241,6 +242,13 @@ def test_the_command_writes_table_picture_and_summary(femxdem, packing, tmp_path
     assert result["presets"]["fast"]["speedup_against_reference"] > 3
     lines = (tmp_path / "tradeoff.csv").read_text().splitlines()
     assert len(lines) == 1 + len(result["sweep"])
+    critical = result["critical"]
+    assert (critical["packings"], critical["void_ratio"]) == (2, 0.2)
+    for row in critical["rows"]:
+        assert row["pressure_Pa"] > 0 and f"{row['dem_steps']:.0f}" in shown.out
+    costs = [row["dem_steps"] for row in critical["rows"]]
+    assert [row["accuracy"] for row in critical["rows"]] == list(PRESETS) and costs == sorted(costs)
+    assert len((tmp_path / "critical.csv").read_text().splitlines()) == 1 + len(PRESETS)
     assert (tmp_path / "tradeoff.png").stat().st_size > 10_000
     for setting in {row["setting"] for row in result["sweep"]}:
         (sentence,) = (s for s in result["sentences"] if s.startswith(f"{setting} from "))
@@ -251,6 +259,9 @@ def test_what_cannot_be_studied_is_refused(femxdem, packing, tmp_path):  # noqa:
     save_packing(tmp_path / "packing.h5", packing)
     command = ("tradeoff", "--packing", tmp_path / "packing.h5", "--output", tmp_path)
     assert_refused(femxdem(*command, "--packings", 0), "--packings must be 1 or more")
+    refused = femxdem(*command, "--critical-packings", 1)
+    assert_refused(refused, "--critical-packings must be 2 or more")
+    assert_refused(femxdem(*command, "--void-ratio", -1), "need a positive void ratio, got -1")
     assert_refused(femxdem(*command, "--increments", 0), "strain path: need 1 or more")
     apart = replace(packing, box=1.5 * packing.box, contacts=np.zeros((0, 2)), tangential=[])
     save_packing(tmp_path / "apart.h5", apart)

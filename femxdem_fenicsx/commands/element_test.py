@@ -12,7 +12,7 @@ import numpy as np
 from .. import lab_plots, laboratory, terminal, writing
 from ..dem import element_tests as tests
 from ..dem import probes
-from ..dem.accuracy import preset
+from ..dem.accuracy import preset, warn_of_rate
 from ..dem.files import save_packing
 from ..dem.load_path import read_path
 from ..dem.mixed_control import ElementState
@@ -279,6 +279,8 @@ def run(args: argparse.Namespace) -> int:
                 f"{args.path}: the results would overwrite it; choose another --output"
             )
         read_path(args.path, packing.dim)  # before anything is computed
+    if _at_constant_volume(args):
+        warn_of_rate(preset(args.accuracy), args.name)
     made = laboratory.specimen(packing, args.pressure, preset(args.accuracy), args.tolerance)
     with terminal.LoadProgress(1.0, args.quiet, args.name) as progress:
 
@@ -312,6 +314,12 @@ def _check(args: argparse.Namespace) -> None:
         value = getattr(args, name, None)
         if value is not None and not value > 0:
             raise ValueError(f"--{name.replace('_', '-')} must be positive, got {value}")
+
+
+def _at_constant_volume(args: argparse.Namespace) -> bool:
+    """Whether the pressure follows from a volume that is kept."""
+    sheared = args.name in ("simple-shear", "cyclic-shear")
+    return args.name == "undrained" or (sheared and args.normal_stress is None)
 
 
 def _packing(args: argparse.Namespace, dim: int | None) -> Packing:

@@ -5,12 +5,20 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .. import lab_plots, terminal, tradeoff, writing
+from .. import critical_state, lab_plots, terminal, tradeoff, writing
 from . import common
 
 COLUMNS = (
     "setting", "value", "dem_steps", "rms_stress_error", "spread_over_packings",
     "void_ratio_error", "peak_error", "last_error", "curve_error", "seconds",
+)  # fmt: skip
+
+
+#: Of the critical state, in a file of its own.
+CRITICAL_COLUMNS = (
+    "accuracy", "inertial_number", "tolerance", "packings", "dem_steps", "pressure_Pa",
+    "pressure_standard_error_Pa", "friction_angle_deg", "friction_angle_standard_error_deg",
+    "pressure_error", "pressure_error_standard_error",
 )  # fmt: skip
 
 
@@ -30,7 +38,16 @@ def add(commands) -> None:
     parser.add_argument(
         "--packings", type=int, default=5, help="this one and others of the same grains"
     )
-    parser.add_argument("--quick", action="store_true", help="fewer values")
+    critical = parser.add_argument_group("critical state at constant volume")
+    critical.add_argument(
+        "--critical-packings", type=int,
+        help="of the same grains  (default: 32, 2 with --quick)",
+    )  # fmt: skip
+    critical.add_argument(
+        "--void-ratio", type=float,
+        help="that is kept  (default: what simple shear under the packing's pressure comes to)",
+    )  # fmt: skip
+    parser.add_argument("--quick", action="store_true", help="fewer values, less shear")
     parser.add_argument("--output", type=Path, default=Path("results/tradeoff"), help="folder")
     common.add_threads(parser)
     common.add_quiet(parser)
@@ -44,6 +61,10 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.packings < 1:
         raise ValueError(f"--packings must be 1 or more, got {args.packings}")
+    if args.critical_packings is not None and args.critical_packings < 2:
+        raise ValueError(f"--critical-packings must be 2 or more, got {args.critical_packings}")
+    if args.void_ratio is not None:
+        critical_state.Shear(args.void_ratio)  # before anything is computed
     path = tradeoff.Path(
         args.increments, args.step, args.directions, args.lateral, args.increments * args.step
     )
@@ -52,6 +73,9 @@ def run(args: argparse.Namespace) -> int:
     packings = tradeoff.family(packing, args.packings)
     show = None if args.quiet else tell
     result = tradeoff.study(packings, path, args.quick, threads, show)
+    result["critical"] = tradeoff.critical(
+        packing, args.quick, args.critical_packings, args.void_ratio, threads
+    )
     write(args.output, result)
     rows = [
         (name, f"{row['dem_steps']:.0f}", f"{row['rms_stress_error']:.2%}",
@@ -60,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
     ]  # fmt: skip
     names = ("preset", "DEM steps per increment", "rms error of stress", "times faster")
     terminal.print_columns(f"trade-off: {args.output / 'tradeoff'}.*", names, rows, args.quiet)
+    show_critical(result["critical"], args.quiet)
     if not args.quiet:
         print(*result["sentences"], sep="\n")
     return 0
@@ -75,8 +100,29 @@ def tell(row: dict[str, object]) -> None:
     )
 
 
+def show_critical(critical: dict[str, object], quiet: bool = False) -> None:
+    """The table of `tradeoff.critical`."""
+    rows = [
+        (row["accuracy"], f"{row['dem_steps']:.0f}",
+         f"{1e-3 * row['pressure_Pa']:.1f} ± {1e-3 * row['pressure_standard_error_Pa']:.1f}",
+         f"{row['pressure_error']:+.0%} ± {row['pressure_error_standard_error']:.0%}",
+         f"{row['friction_angle_deg']:.1f} ± {row['friction_angle_standard_error_deg']:.1f}")
+        for row in critical["rows"]
+    ]  # fmt: skip
+    names = (
+        "preset", "DEM steps per increment", "pressure, kPa", "off reference",
+        "friction angle, degrees",
+    )  # fmt: skip
+    title = (
+        f"simple shear at constant volume, e = {critical['void_ratio']:.3f}, gamma"
+        f" {critical['first']:g} to {critical['last']:g}, {critical['packings']} packings"
+    )
+    terminal.print_columns(title, names, rows, quiet)
+
+
 def write(folder: Path, result: dict[str, object]) -> None:
     """Table, picture and summary of `tradeoff.study`."""
     writing.write_csv(folder / "tradeoff.csv", COLUMNS, result["sweep"])
     lab_plots.save_tradeoff(folder / "tradeoff.png", result["sweep"], result["scatter"])
+    writing.write_csv(folder / "critical.csv", CRITICAL_COLUMNS, result["critical"]["rows"])
     writing.write_json(folder / "tradeoff.json", result)

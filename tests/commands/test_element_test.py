@@ -1,6 +1,7 @@
 """`femxdem element-test` and `calibrate`, as a user calls them."""
 
 import json
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -237,3 +238,22 @@ def test_a_calibration_without_a_possible_target_is_refused(femxdem, tmp_path): 
     assert_refused(femxdem(*words, 30, "--young-modulus", -1), "must be positive")
     assert_refused(femxdem(*words, 30, "--young-modulus", 3e7, "--strain", 0.9), "--strain")
     assert not list(tmp_path.iterdir())
+
+
+def test_fast_tests_at_constant_volume_are_warned_of(femxdem, sand, tmp_path):  # noqa: F811
+    """Their pressure is too high; drained ones and slower ones are none of that."""
+    fast, kept = ("--accuracy", "fast"), ("--normal-stress", 1e5)
+    short = ("--packing", sand, "--output", tmp_path, "--quiet")
+    sheared, cyclic = ("--strain", 1e-3), ("--cycles", 1, "--amplitude", 1e-3)
+    for name, words in (
+        ("undrained", sheared), ("simple-shear", sheared), ("cyclic-shear", cyclic),
+    ):  # fmt: skip
+        with pytest.warns(UserWarning, match=f"{name}: at constant volume an inertial number"):
+            femxdem("element-test", name, *short, *words, *fast)
+    for name, words in (
+        ("undrained", sheared), ("biaxial", (*sheared, *fast)),
+        ("simple-shear", (*sheared, *fast, *kept)), ("cyclic-shear", (*cyclic, *fast, *kept)),
+    ):  # fmt: skip
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert femxdem("element-test", name, *short, *words).code == 0

@@ -1,10 +1,11 @@
 """What a user may ask of the accuracy, and what not."""
 
 import math
+import warnings
 
 import pytest
 
-from femxdem_fenicsx.dem.accuracy import PRESETS, Accuracy, preset
+from femxdem_fenicsx.dem.accuracy import PRESETS, Accuracy, preset, warn_of_rate
 
 
 @pytest.mark.parametrize(
@@ -45,3 +46,13 @@ def test_a_preset_with_changes_is_a_copy_and_unknown_settings_are_named():
 
 def test_the_reference_preset_has_the_settings_of_desrues():
     assert (PRESETS["reference"].inertial_number, PRESETS["reference"].tolerance) == (1e-4, 1e-3)
+
+
+def test_rates_above_that_of_balanced_are_warned_of_in_one_line():
+    with pytest.warns(UserWarning, match="undrained: at constant volume") as caught:
+        warn_of_rate(PRESETS["fast"], "undrained")
+    assert len(caught) == 1 and "\n" not in str(caught[0].message)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for name in ("balanced", "reference"):
+            warn_of_rate(PRESETS[name], "undrained")
