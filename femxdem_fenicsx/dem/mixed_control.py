@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .preparation import NotReached
-from .reproducible import determinant, inverse, product, rounded
+from .reproducible import determinant, inner, inverse, product, rounded
 
 #: Growth of a correction from one evaluation to the next at most: grains answer with some scatter,
 #: from which a secant can conclude anything.
@@ -94,7 +94,7 @@ class StressCondition:
 
     def excess(self, stress: np.ndarray) -> np.ndarray:
         """(m,) Pa: by how much a stress (d, d) exceeds what is prescribed."""
-        return (self.rows * stress).sum((1, 2)) - self.values
+        return inner(self.rows, stress) - self.values
 
     @classmethod
     def none(cls, dim: int) -> "StressCondition":

@@ -158,7 +158,7 @@ class Packing:
         """(N,) m3."""
         if self.dim == 2:
             return np.pi * self.radii**2 * self.thickness
-        return 4.0 / 3.0 * np.pi * self.radii**3
+        return 4.0 / 3.0 * np.pi * (self.radii * self.radii * self.radii)
 
     @property
     def volume(self) -> float:

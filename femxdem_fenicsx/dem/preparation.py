@@ -15,7 +15,7 @@ from .homogenisation import measure, touching
 from .loading import pressure_of
 from .neighbours import box_heights, remember
 from .packing import PAIRS_PER_GRAIN, Packing
-from .reproducible import rounded
+from .reproducible import inner, rounded
 from .stability import stable_time_step
 
 #: Local damping (Guo-Zhao eq. 18) while a packing is prepared.
@@ -278,7 +278,7 @@ def compress(
             return packing_of(packing, work)
         mean = np.trace(excess) / packing.dim * np.eye(packing.dim)
         last, deviator = deviator, 0.5 * (excess + excess.T) - mean
-        left = (deviator * last).sum() / max((last * last).sum(), 1e-300)
+        left = inner(deviator, last) / max(inner(last, last), 1e-300)
         softness = np.clip(softness * (0.5 if left < 0 else SOFTER if left > 0.98 else 1.0), 1, 1e3)
         stiffness = max(contacts, 1) / packing.size * modulus
         calm = 0.1 * fastest * 2 * stiffness * 2 * BLOCK * dt / max(np.abs(deviator).max(), 1e-300)
