@@ -56,7 +56,7 @@ def test_one_element_answers_like_its_packing_on_its_own(single_element):
     same = [int(np.abs(rows["axial_strain"] - s).argmin()) for s in strain]
     np.testing.assert_allclose(rows["axial_strain"][same], strain, atol=1e-9)
     off = np.abs(rows["stress_ratio"][same] / [s.stress_ratio for s in states] - 1)
-    assert off[strain < 0.0055].max() < 1e-2
+    assert off[strain < 0.0055].max() < 3e-2
     # the peak is at 0.3 %; far behind it the packing rearranges, and the two paths part
     assert off.max() < 5e-2
     volume = np.array([state.volumetric_strain for state in states])
