@@ -25,7 +25,7 @@ from dem_step import sheared  # noqa: E402
 from femxdem_fenicsx.dem import disks, dynamics, spheres  # noqa: E402
 from femxdem_fenicsx.dem.files import load_packing  # noqa: E402
 
-compiled = njit(nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+compiled = njit(nogil=True, error_model="numpy")  # as kernels are, but not from a cache
 LOOPS = ("pair_forces", "sum_forces", "move")
 
 #: Operations of a packed instruction per lane, by the beginning of its name.

@@ -16,6 +16,7 @@ from .dem.element_tests import simple_shear
 from .dem.loading import pressure_of
 from .dem.mixed_control import Servo
 from .dem.packing import Packing
+from .dem.reproducible import power
 from .dem.strength import friction_angle
 from .homogenised_law import HomogenisedLaw
 
@@ -147,6 +148,6 @@ def _increments(packings: Sequence[Packing], shear: Shear) -> Iterator[np.ndarra
     dilating = max(round(0.5 * shear.first / shear.step), 1)
     simple = np.eye(dim)
     simple[0, -1] = shear.step
-    stretch = ratio ** (1.0 / (dim * dilating))
+    stretch = power(ratio, 1.0 / (dim * dilating))
     for k in range(round(shear.last / shear.step)):
         yield (stretch if k < dilating else np.ones(count))[:, None, None] * simple

@@ -156,11 +156,11 @@ def mean_pressure(stress):
 def resume_flow(motion, gradient, flow, flow_gradient):
     """Let the grains start as they flowed when last loaded, as far as the packing strains that way.
 
-    Only the symmetric parts of both L are compared: grains flow because the packing strains, and a
-    rotation, however fast, must not move them along. Beyond the affine motion a packing flows in
-    much the same pattern from increment to increment.
-    Started from rest, each increment shakes the grains anew: the rms error of the stress is then
-    1.0 % in place of 0.8 % at I = 1e-3, 0.44 % in place of 0.32 % at 1e-4 (docs/accuracy.md).
+    Only the symmetric parts of both L (1/s) are compared: grains flow because the packing strains,
+    and a rotation, however fast, must not move them along. Beyond the affine motion a packing flows
+    in much the same pattern from increment to increment. Started from rest, each increment shakes
+    the grains anew: the rms error of the stress is then 1.0 % in place of 0.8 % at I = 1e-3, 0.44 %
+    in place of 0.32 % at 1e-4 (docs/accuracy.md).
     """
     along = squared = 0.0
     for i in range(len(gradient)):
@@ -234,7 +234,10 @@ def restore(b, state, motion, history):
 
 @kernel
 def store(motion, history, new, place):
-    """The other way round, into packing `place` of a batch; whether there is room for it."""
+    """Box, positions and contact history into packing `place` of a batch.
+
+    False, with nothing written, where the batch has no room for so many contacts.
+    """
     dim, grains = motion.position.shape
     count = history.first[-1]
     if count > new[6].shape[1]:
@@ -299,6 +302,7 @@ def deform(
     measured, left = np.zeros_like(F), 1.0
     outcome.stress[row] = 0.0
     while not at_rest and held < loading.hold_limit:
+        # a literal would be a type of its own, and `advance` compiled for it once more
         status = dynamics.advance(
             np.int64(HOLD_BLOCK), hold_dt, still, loading.hold_damping, material, work,
             material.inverse_radius,

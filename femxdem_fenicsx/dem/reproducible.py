@@ -1,9 +1,10 @@
 """Numbers with the same bits on every CPU: small matrices in stacks, and elementary functions.
 
 The operations +, -, *, / and sqrt are exactly those of IEEE 754 everywhere, and so is a sum whose
-terms have an order. What BLAS, LAPACK, libm and NumPy's own exp, log, sin or power return depends
-on the CPU in the last bits. Grains amplify the last bit of anything that they see until packings
-part, so whatever stands between a seed and a stress is computed by the functions in here.
+terms have an order. What BLAS, LAPACK, libm and NumPy's own exp, log, sin or power (x**3 as well)
+return depends on the CPU, and on their version, in the last bits. Grains amplify the last bit of
+anything that they see until packings part, so whatever stands between a seed and a stress is
+computed by the functions in here.
 (`small` has the same algebra for kernels.)
 
 Matrices are 2 x 2 or 3 x 3, arrays (..., d, d).
@@ -90,7 +91,7 @@ def _annihilate(a: np.ndarray, p: int, q: int) -> None:
 
 
 def inner(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a : b of matrices, shape (...): NumPy's own sum of nine terms depends on its version."""
+    """a : b of matrices, shape (...), summed row by row."""
     terms = a * b
     d = terms.shape[-1]
     return sum(terms[..., i, j] for i in range(d) for j in range(d))
