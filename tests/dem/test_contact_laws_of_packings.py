@@ -96,7 +96,8 @@ def test_the_time_step_follows_hertz_contacts_as_they_stiffen(rock):
     pressed = response.committed.packing(0)
     assert -np.trace(stress(pressed)) / 2 > 2e5
     assert 0.5 * first < response.time_step[0] < first
-    assert response.time_step[0] < stable_time_step(pressed)
+    # the limit reckons with twice the overlap there is: it is exceeded from 2^(1/4) = 1.19 of it on
+    assert response.time_step[0] < 1.1 * stable_time_step(pressed)
 
 
 # Bonds
